@@ -1,0 +1,40 @@
+# Everything starts from `make demo` or `make test`; each sets up what is missing first.
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test check format lock clean
+SHELL := /bin/sh
+
+DEMO ?= runs/demo
+PYTEST ?= -n 2
+PY := .venv/bin/python
+# One thread a process: the processes share the cores.
+ONE_THREAD := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 LP_NUM_THREADS=1
+
+help: ## say what can be made
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-7s %s\n", $$1, $$2}' Makefile
+
+setup: ## the environment from the lock file, and headless GL where that may be installed
+	@sh .ci/setup.sh
+
+demo: ## collect play, train on it, reach goal images; leaves DEMO=runs/demo/eval/report.html
+	@sh .ci/setup.sh --need-gl
+	@sh .ci/demo.sh $(DEMO)
+
+test: setup ## the tests
+	@$(ONE_THREAD) $(PY) -m pytest $(PYTEST)
+
+check: setup ## what CI checks beside the tests: format, lint, types, imports
+	@$(PY) -m ruff format --check .
+	@$(PY) -m ruff check .
+	@$(PY) -m mypy
+	@.venv/bin/lint-imports --no-logo
+
+format: setup ## put the code into shape
+	@$(PY) -m ruff check --fix .
+	@$(PY) -m ruff format .
+
+lock: setup ## resolve pyproject.toml again into requirements.lock (hashes, no address)
+	@sh .ci/setup.sh --lock
+
+clean: ## remove the environment and every cache, not what you made in runs/ and datasets/
+	rm -rf .venv .setup .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .coverage*
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,334 @@
+"""A store and a way of relabelling, turned into batches: a pure function of (seed, epoch, index)."""
+
+import dataclasses
+import queue
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any, Self
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from playlearn.episode import IMAGES, Array
+from playlearn.errors import StoreError, UsageError
+from playlearn.relabel import UNIFORMS, GoalSamplerConfig, SettledConfig, SettlingConfig, Table
+from playlearn.store import Store
+
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """B training examples; example b stands at some moment t of an episode and knows its goal.
+
+    state (B, T, S) float32, achieved (B, T, G) float32, images camera -> (B, T, h, w, 3) uint8: the
+        observations t-T+1 ... t; before the episode's first one it is repeated.
+    history_mask (B, T) bool: False where it was repeated.
+    goal_achieved (B, G) float32, goal_images camera -> (B, h, w, 3) uint8: the goal's observation.
+    action (B, H, A) float32: the labels of the steps t ... t+H-1; the last is repeated past the end.
+    action_mask (B, H) bool: False past the end, past a mistake, and past the goal where the dataset was told so.
+    steps_to_goal (B,) int64: how many actions lie between t and the goal, at least 1.
+    """
+
+    state: torch.Tensor
+    achieved: torch.Tensor
+    images: Mapping[str, torch.Tensor]
+    history_mask: torch.Tensor
+    goal_achieved: torch.Tensor
+    goal_images: Mapping[str, torch.Tensor]
+    action: torch.Tensor
+    action_mask: torch.Tensor
+    steps_to_goal: torch.Tensor
+
+    def __len__(self) -> int:
+        """B."""
+        return len(self.action)
+
+    def to(self, device: torch.device | str) -> Self:
+        """The same batch on another device."""
+
+        def move(value: torch.Tensor | Mapping[str, torch.Tensor]) -> Any:
+            if isinstance(value, Mapping):
+                return {camera: frames.to(device, non_blocking=True) for camera, frames in value.items()}
+            return value.to(device, non_blocking=True)
+
+        return type(self)(**{entry.name: move(getattr(self, entry.name)) for entry in dataclasses.fields(self)})
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Of one stored array, each (D,) float32; std is 1 where a dimension does not vary."""
+
+    mean: Array
+    std: Array
+    min: Array
+    max: Array
+    q01: Array
+    q99: Array
+
+
+@dataclass(frozen=True)
+class DataConfig:
+    """How examples are cut from play.
+
+    goals: the goal sampler. settling: what a settled moment is. history: observations a policy sees (T).
+    chunk: actions it predicts (H). cameras, goal_cameras: what is looked through, now and for the goal.
+    heldout_share: of the episodes, never trained on. mask_after_goal: actions past the goal teach nothing.
+    balance: 0 draws steps as they come; 1 draws each kind of change (which groups of the achieved goal
+        change next) equally often; between them, in proportion to count ** (1 - balance).
+    stray: a chunk ends with the first step at which what was executed strayed from its label by more
+        than this in some dimension (a mistake, a pause, a slip): the labels after it answer to another
+        world than the one that executing the labels would have led to.
+    """
+
+    goals: GoalSamplerConfig = field(default_factory=SettledConfig)
+    settling: SettlingConfig = field(default_factory=SettlingConfig)
+    history: int = 1
+    chunk: int = 16
+    cameras: tuple[str, ...] = ()
+    goal_cameras: tuple[str, ...] = ()
+    heldout_share: float = 0.05
+    mask_after_goal: bool = False
+    balance: float = 0.0
+    stray: float = 0.5
+
+    def build(self, store: Store, split: str, seed: int) -> "PlayDataset":
+        """The dataset of one split, "train" or "heldout"."""
+        return PlayDataset(store, self, split, seed)
+
+
+class PlayDataset:
+    """Every step of a store's play from which a goal can be drawn; safe to share between threads.
+
+    Numbers of few dimensions are held in memory; images stay in the store and are read as needed.
+    """
+
+    def __init__(self, store: Store, config: DataConfig, split: str = "train", seed: int = 0) -> None:
+        """See `DataConfig`.
+
+        Raises:
+            StoreError: the store lacks a camera, or holds no step from which a goal can be drawn.
+            UsageError: a setting is out of range.
+        """
+        _check(config, split)
+        _check_cameras(store, (*config.cameras, *config.goal_cameras))
+        out = heldout_episodes(store.indices(), config.heldout_share)
+        self.episodes: Indices = np.flatnonzero(out if split == "heldout" else ~out)  # (N,) positions in the store
+        if len(self.episodes) == 0:
+            raise StoreError(f"{store.name()} has no {split} episodes among its {len(store)}: collect more play")
+        self.store, self.config, self.seed = store, config, seed
+        achieved = [store.array(int(i), "achieved") for i in self.episodes]
+        self.table = Table.build(achieved, store.spec.achieved_names, store.spec.fps, config.settling)
+        self.achieved = np.concatenate(achieved)  # (sum T+1, G)
+        self.state = np.concatenate([store.array(int(i), "observation.state") for i in self.episodes])
+        self.action = np.concatenate([store.array(int(i), "expert_action") for i in self.episodes])  # (sum T, A)
+        self._last = self._last_of_chunk([store.array(int(i), "action") for i in self.episodes])
+        self._sampler = config.goals.build()
+        lengths = self.table.lengths
+        episode = np.repeat(np.arange(len(lengths)), lengths)
+        t = np.arange(len(episode)) - self.table.starts[episode]
+        usable = self._sampler.valid(self.table, episode, t)
+        if not usable.any():
+            raise StoreError(
+                f"{store.name()}: no {split} step has a goal to draw ({len(lengths)} episodes, {len(t)} steps); "
+                "collect longer episodes, or choose other `goals` or thresholds in `settling`"
+            )
+        self._episode, self._t = episode[usable], t[usable]  # (n,), (n,)
+        self._cumulative = self._weights() if config.balance else None
+
+    def __len__(self) -> int:
+        """n, the examples of an epoch."""
+        return len(self._t)
+
+    def where(self, indices: Indices) -> tuple[Indices, Indices]:
+        """(n,), (n,): the episode (position in the store) and the step t of each example."""
+        return self.episodes[self._episode[indices]], self._t[indices]
+
+    def goals(self, epoch: int | Indices, indices: Indices) -> Indices:
+        """(n,) the goal observation of each example in an epoch."""
+        uniforms = counter_uniforms(self.seed, epoch, indices, UNIFORMS)
+        return self._sampler.draw(self.table, self._episode[indices], self._t[indices], uniforms)
+
+    def epoch_indices(self, epoch: int) -> Indices:
+        """(n,) the examples of an epoch in their order; each once, or as `balance` draws them."""
+        rng = np.random.default_rng((self.seed, epoch))
+        if self._cumulative is None:
+            return rng.permutation(len(self))
+        # Evenly spaced points: an example of weight w comes floor(n w) or ceil(n w) times.
+        points = (np.arange(len(self)) + rng.random()) / len(self)
+        drawn = np.searchsorted(self._cumulative, points, side="right")
+        return rng.permutation(np.minimum(drawn, len(self) - 1))
+
+    def batch(self, epoch: int | Indices, indices: Indices) -> Batch:
+        """The given examples as they are in an epoch (one for all, or one each)."""
+        indices = np.asarray(indices, np.int64)
+        episode, t, goal = self._episode[indices], self._t[indices], self.goals(epoch, indices)
+        length, config = self.table.lengths[episode], self.config
+        past = t[:, None] + np.arange(1 - config.history, 1)  # (B, T)
+        seen = np.maximum(past, 0)
+        rows = self.table.rows[episode][:, None] + seen
+        ahead = t[:, None] + np.arange(config.chunk)  # (B, H)
+        limit = np.minimum(length, goal) if config.mask_after_goal else length
+        limit = np.minimum(limit, self._last[self.table.starts[episode] + t] + 1)
+        labels = self.table.starts[episode][:, None] + np.minimum(ahead, length[:, None] - 1)
+        goals = goal[:, None]
+        return Batch(
+            state=torch.from_numpy(self.state[rows]),
+            achieved=torch.from_numpy(self.achieved[rows]),
+            images={camera: self._frames(camera, episode, seen) for camera in config.cameras},
+            history_mask=torch.from_numpy(past >= 0),
+            goal_achieved=torch.from_numpy(self.achieved[self.table.rows[episode] + goal]),
+            goal_images={camera: self._frames(camera, episode, goals)[:, 0] for camera in config.goal_cameras},
+            action=torch.from_numpy(self.action[labels]),
+            action_mask=torch.from_numpy(ahead < limit[:, None]),
+            steps_to_goal=torch.from_numpy(goal - t),
+        )
+
+    def batches(self, batch_size: int, start_step: int = 0, rank: int = 0, ranks: int = 1) -> Iterator[Batch]:
+        """Batches without end, prepared one ahead in a thread.
+
+        Step s of rank r takes places (s * ranks + r) * batch_size onwards of all epochs laid end to end,
+        so that a resumed run goes on exactly where it stopped. Close the iterator to end the thread.
+        """
+        ready: queue.Queue[Batch | BaseException] = queue.Queue(maxsize=2)
+        stop = threading.Event()
+
+        def hand(item: Batch | BaseException) -> None:
+            while not stop.is_set():
+                with suppress(queue.Full):
+                    ready.put(item, timeout=0.1)
+                    return
+
+        def prepare() -> None:
+            orders: dict[int, Indices] = {}
+            step = start_step
+            try:
+                while not stop.is_set():
+                    hand(self._at((step * ranks + rank) * batch_size, batch_size, orders))
+                    step += 1
+            except BaseException as error:  # noqa: BLE001 - raised again where the batches are used
+                hand(error)
+
+        thread = threading.Thread(target=prepare, name="batches", daemon=True)
+        thread.start()
+        try:
+            while True:
+                item = ready.get()
+                if isinstance(item, BaseException):
+                    raise item
+                yield item
+        finally:
+            stop.set()
+            thread.join()
+
+    def _at(self, start: int, count: int, orders: dict[int, Indices]) -> Batch:
+        """The batch at places start ... start+count-1 of all epochs; `orders` keeps the current ones."""
+        places = np.arange(start, start + count)
+        epochs = places // len(self)
+        for epoch in set(orders) - set(epochs.tolist()):
+            del orders[epoch]
+        for epoch in set(epochs.tolist()) - set(orders):
+            orders[epoch] = self.epoch_indices(epoch)
+        indices = np.concatenate([orders[e][places[epochs == e] % len(self)] for e in np.unique(epochs).tolist()])
+        return self.batch(epochs, indices)
+
+    def _frames(self, camera: str, episode: Indices, rows: Indices) -> torch.Tensor:
+        """(B, k, h, w, 3) uint8 of observations rows (B, k)."""
+        frames = np.empty((*rows.shape, *self.store.cameras()[camera], 3), np.uint8)
+        order = np.argsort(episode, kind="stable")
+        bounds = np.flatnonzero(np.diff(episode[order], prepend=-1, append=-1))
+        for begin, end in pairwise(bounds):
+            mine = order[begin:end]
+            recorded = self.store.array(int(self.episodes[episode[mine[0]]]), IMAGES + camera)
+            frames[mine] = recorded[rows[mine]]
+        return torch.from_numpy(frames)
+
+    def _last_of_chunk(self, executed: Sequence[Array]) -> Indices:
+        """(sum T,) the last step t' >= t whose label still follows from executing the labels from t on."""
+        strayed = np.abs(np.concatenate(executed) - self.action).max(axis=1) > self.config.stray
+        steps = np.arange(len(strayed))
+        first = np.minimum.accumulate(np.where(strayed, steps, len(strayed))[::-1])[::-1]  # flat, at or after each
+        start = np.repeat(self.table.starts[:-1], self.table.lengths)
+        return np.asarray(first - start, np.int64)  # may point past the episode, whose end counts then
+
+    def _weights(self) -> NDArray[np.float64]:
+        """(n,) the running sum of the examples' probabilities under `balance`."""
+        groups = np.concatenate([self.table.changed_groups(), np.zeros((1, len(self.table.groups())), np.bool_)])
+        following = self.table.following(self._episode, self._t)
+        none = following >= self.table.offsets[self._episode + 1]
+        _, kind, counts = np.unique(
+            groups[np.where(none, len(groups) - 1, following)], axis=0, return_inverse=True, return_counts=True
+        )
+        weights = counts[kind.reshape(-1)] ** -float(self.config.balance)
+        return np.asarray(np.cumsum(weights / weights.sum()), np.float64)
+
+
+def statistics(dataset: PlayDataset) -> dict[str, Statistics]:
+    """Of `state`, `achieved` and `action` over every recorded row of the dataset's episodes."""
+    return {name: _statistics(getattr(dataset, name)) for name in ("state", "achieved", "action")}
+
+
+def heldout_episodes(indices: Indices, share: float) -> NDArray[np.bool_]:
+    """(N,) which episodes are held out, by the numbers they were recorded under.
+
+    Of every 1 / share consecutive numbers one is held out, in the first such block number 0, so that
+    more play never moves an episode from one side to the other, whatever is trained or evaluated.
+    """
+    if share <= 0:
+        return np.zeros(len(indices), np.bool_)
+    block = max(1, round(1 / share))
+    drawn = (counter_uniforms(0, 0, indices // block, 1)[:, 0] * block).astype(np.int64)
+    return np.asarray(indices % block == np.where(indices < block, 0, drawn))
+
+
+def counter_uniforms(seed: int, epoch: int | Indices, indices: Indices, columns: int) -> NDArray[np.float64]:
+    """(n, columns) independent numbers in [0, 1), each a hash of its own (seed, epoch, index, column).
+
+    SplitMix64 (Steele, Lea and Flood, 2014) applied once for each of them.
+    """
+    hashed: NDArray[np.uint64] = np.full((len(indices), columns), seed & 0xFFFFFFFFFFFFFFFF, np.uint64)
+    for part in (np.broadcast_to(epoch, indices.shape)[:, None], indices[:, None], np.arange(columns)[None]):
+        hashed = _mix(hashed ^ (part.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)))
+    return np.asarray((hashed >> np.uint64(11)).astype(np.float64) * 2.0**-53)
+
+
+def _mix(z: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    z = z + np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
+def _statistics(rows: Array) -> Statistics:
+    low, high = rows.min(axis=0), rows.max(axis=0)
+    std = rows.std(axis=0, dtype=np.float64)
+    q01, q99 = np.quantile(rows, (0.01, 0.99), axis=0)
+    constant = (high - low) < 1e-6 * np.maximum(1.0, np.abs(high))
+    parts = rows.mean(axis=0, dtype=np.float64), np.where(constant, 1.0, std), low, high, q01, q99
+    return Statistics(*(np.asarray(part, np.float32) for part in parts))
+
+
+def _check(config: DataConfig, split: str) -> None:
+    if split not in ("train", "heldout"):
+        raise UsageError(f"split must be train or heldout, got {split!r}")
+    for name, value in {"history": config.history, "chunk": config.chunk}.items():
+        if value < 1:
+            raise UsageError(f"data.{name} must be at least 1, got {value}")
+    if not config.stray > 0:
+        raise UsageError(f"data.stray must be above 0, got {config.stray}")
+    for name, share in {"heldout_share": config.heldout_share, "balance": config.balance}.items():
+        if not 0 <= share <= 1:
+            raise UsageError(f"data.{name} must lie between 0 and 1, got {share}")
+
+
+def _check_cameras(store: Store, wanted: Sequence[str]) -> None:
+    missing = sorted(set(wanted) - set(store.cameras()))
+    if missing:
+        there = ", ".join(f"{camera} {h}x{w}" for camera, (h, w) in store.cameras().items()) or "none"
+        raise StoreError(
+            f"{store.name()} has no images of {', '.join(missing)} (it has: {there}): draw them with `playlearn render`"
+        )

@@ -1,0 +1,191 @@
+"""One recording of play, frozen and checked at birth; nothing else knows its fields by heart.
+
+    observation  o_0 --a_0--> o_1 --a_1--> o_2  ...  --a_{T-1}--> o_T
+    index         0            1            2                      T
+
+`action[t]` was executed between observation t and t + 1, so there are T actions and T + 1
+observations, achieved goals and simulator states.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from playlearn.errors import EpisodeError
+
+Array = NDArray[Any]
+IMAGES = "observation.images."
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What can be seen at one moment.
+
+    state: (S,) float32, the robot's own body (proprioception).
+    achieved: (G,) float32, objects and fixtures: what a goal speaks of.
+    images: camera -> (h, w, 3) uint8, upright; empty where no camera was asked for.
+    time: simulated seconds.
+    """
+
+    state: Array
+    achieved: Array
+    images: Mapping[str, Array] = field(default_factory=dict)
+    time: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """What is to be reached: achieved (G,) float32 and images camera -> (h, w, 3) uint8 of one moment.
+
+    A policy reads the part its encoder was built for; a scripted expert reads `achieved`.
+    """
+
+    achieved: Array
+    images: Mapping[str, Array] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """What an actor decided for one environment at one step.
+
+    action: (A,) in [-1, 1], executed. label: (A,), what a learner should copy (None: the action).
+    skill: an annotation for analysis. intervention: an expert took over here.
+    """
+
+    action: Array
+    label: Array | None = None
+    skill: str = ""
+    intervention: bool = False
+
+
+@dataclass(frozen=True)
+class EpisodeMeta:
+    """Where an episode comes from; everything in it is JSON.
+
+    environment: `{"type": kind, ...}`, the environment's full config, enough to build it again.
+    *_names: what each index of state, achieved and action means. skills: the names `skill` indexes.
+    cameras: name -> {"height", "width"} of the recorded images. renderer: GL back end and device.
+    versions: package -> version. actor: who acted. ended: why the episode stopped.
+    """
+
+    environment: Mapping[str, Any]
+    state_names: tuple[str, ...]
+    achieved_names: tuple[str, ...]
+    action_names: tuple[str, ...]
+    fps: float
+    seed: int
+    actor: str
+    skills: tuple[str, ...] = ()
+    controller: Mapping[str, Any] = field(default_factory=dict)
+    cameras: Mapping[str, Any] = field(default_factory=dict)
+    renderer: str = ""
+    versions: Mapping[str, str] = field(default_factory=dict)
+    ended: str = "length"
+    task: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """T actions and T + 1 observations.
+
+    state: (T+1, S) float32. achieved: (T+1, G) float32. sim_state: (T+1, N) float64, restores the
+    simulator exactly. time: (T+1,) float64 seconds, strictly forward. action: (T, A) float32, executed.
+    expert_action: (T, A) float32, the label. intervention: (T,) bool. skill: (T,) int16, an index
+    into `meta.skills`. images: camera -> (T+1, h, w, 3) uint8, upright.
+
+    Raises:
+        EpisodeError: lengths disagree, a value is not finite, time does not go forward, T is 0.
+    """
+
+    meta: EpisodeMeta
+    state: Array
+    achieved: Array
+    sim_state: Array
+    time: Array
+    action: Array
+    expert_action: Array
+    intervention: Array
+    skill: Array
+    images: Mapping[str, Array] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        steps = len(self.action)
+        if steps == 0:
+            raise EpisodeError("an episode needs at least one action")
+        for name, (dtype, width, extra) in _fields(self).items():
+            value = getattr(self, name)
+            _check(name, value, dtype, steps + extra, width)
+        for camera, frames in self.images.items():
+            _check(IMAGES + camera, frames, np.uint8, steps + 1, None)
+            if frames.ndim != 4 or frames.shape[3] != 3:
+                raise EpisodeError(f"{IMAGES}{camera} must be (T+1, h, w, 3), got {frames.shape}")
+        if not (np.diff(self.time) > 0).all():
+            first = int(np.argmax(np.diff(self.time) <= 0))
+            raise EpisodeError(f"time does not go forward after step {first}: the simulator was reset in mid-episode")
+        if self.skill.min() < 0 or self.skill.max() >= max(len(self.meta.skills), 1):
+            raise EpisodeError(f"skill indexes {self.skill.max()}, but meta.skills has {len(self.meta.skills)} names")
+        object.__setattr__(self, "images", MappingProxyType(dict(self.images)))
+        for value in self.arrays().values():
+            value.flags.writeable = False
+
+    def __len__(self) -> int:
+        """T, the number of actions."""
+        return len(self.action)
+
+    def arrays(self) -> dict[str, Array]:
+        """Every array under its stored name (`observation.state`, `action`, ...)."""
+        plain = {stored: getattr(self, name) for name, stored in STORED.items()}
+        return plain | {IMAGES + camera: frames for camera, frames in self.images.items()}
+
+    @classmethod
+    def from_arrays(cls, meta: EpisodeMeta, arrays: Mapping[str, Array]) -> "Episode":
+        """The episode that `arrays()` described; raises EpisodeError where an array is missing."""
+        missing = [stored for stored in STORED.values() if stored not in arrays]
+        if missing:
+            raise EpisodeError(f"an episode without {', '.join(missing)}")
+        images = {key.removeprefix(IMAGES): value for key, value in arrays.items() if key.startswith(IMAGES)}
+        return cls(meta=meta, images=images, **{name: arrays[stored] for name, stored in STORED.items()})
+
+
+STORED = {
+    "state": "observation.state",
+    "achieved": "achieved",
+    "sim_state": "sim.state",
+    "time": "time",
+    "action": "action",
+    "expert_action": "expert_action",
+    "intervention": "intervention",
+    "skill": "skill",
+}
+
+
+def _fields(episode: Episode) -> dict[str, tuple[Any, int | None, int]]:
+    """Field -> (dtype, width or None for a vector, rows beyond T)."""
+    meta = episode.meta
+    actions = len(meta.action_names)
+    return {
+        "state": (np.float32, len(meta.state_names), 1),
+        "achieved": (np.float32, len(meta.achieved_names), 1),
+        "sim_state": (np.float64, episode.sim_state.shape[-1], 1),
+        "time": (np.float64, None, 1),
+        "action": (np.float32, actions, 0),
+        "expert_action": (np.float32, actions, 0),
+        "intervention": (np.bool_, None, 0),
+        "skill": (np.int16, None, 0),
+    }
+
+
+def _check(name: str, value: Array, dtype: Any, rows: int, width: int | None) -> None:
+    if value.dtype != dtype:
+        raise EpisodeError(f"{name} must be {np.dtype(dtype)}, got {value.dtype}")
+    if len(value) != rows:
+        raise EpisodeError(f"{name} has {len(value)} rows where {rows} were expected")
+    if width is not None and value.shape != (rows, width):
+        raise EpisodeError(f"{name} must have shape {(rows, width)}, got {value.shape}")
+    if np.issubdtype(value.dtype, np.floating) and not np.isfinite(value).all():
+        bad = int(np.argwhere(~np.isfinite(value.reshape(rows, -1)).all(axis=1))[0, 0])
+        raise EpisodeError(f"{name} is not finite at step {bad}")

@@ -1,0 +1,33 @@
+"""The errors a user can meet; each message says what is wrong and what to do next."""
+
+
+class PlaylearnError(Exception):
+    """Something a user can mend: shown as one message, never as a traceback (exit code 1)."""
+
+
+class UsageError(PlaylearnError):
+    """A wrong command line or config, found before any work starts (exit code 2)."""
+
+
+class EpisodeError(PlaylearnError):
+    """An episode that breaks its own contract: lengths, finiteness, time, types."""
+
+
+class StoreError(PlaylearnError):
+    """A store that is missing, broken, locked by another writer, or without what was asked of it."""
+
+
+class CheckpointError(PlaylearnError):
+    """A run folder that is missing, broken, or made for another environment or action space."""
+
+
+class ActionError(PlaylearnError):
+    """An action that is not finite, of the wrong shape, or outside [-1, 1]."""
+
+
+class SimulationDiverged(PlaylearnError):
+    """The simulator left physics (NaN, warning counters, time going back); the episode ends here."""
+
+
+class RenderError(PlaylearnError):
+    """Images were asked for where no headless GL can be had."""

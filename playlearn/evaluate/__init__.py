@@ -1,0 +1,21 @@
+"""Judge a policy on a suite of start states and goals, beside the expert and chance."""
+
+from playlearn.evaluate.contenders import Contender, Expert, Random, Trained
+from playlearn.evaluate.heldout import HeldoutConfig
+from playlearn.evaluate.job import evaluate
+from playlearn.evaluate.suite import Setup, SuiteConfig, SuiteKind, load_suite
+from playlearn.evaluate.tasks import TasksConfig
+
+__all__ = [
+    "Contender",
+    "Expert",
+    "HeldoutConfig",
+    "Random",
+    "Setup",
+    "SuiteConfig",
+    "SuiteKind",
+    "TasksConfig",
+    "Trained",
+    "evaluate",
+    "load_suite",
+]

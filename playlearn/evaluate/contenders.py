@@ -1,0 +1,141 @@
+"""Who is judged: a trained policy, the scripted expert (an upper bound) and chance (what luck gives).
+
+A contender is a recipe that travels to a worker process and builds its actor there.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Protocol
+
+from playlearn.config import to_dict
+from playlearn.errors import CheckpointError, UsageError
+from playlearn.policies import Policy
+from playlearn.policies.execution import PolicyActor
+from playlearn.rollout import Actor, RandomActor
+from playlearn.sim.environment import Environment
+
+
+class Contender(Protocol):
+    """name: its row in the report."""
+
+    @property
+    def name(self) -> str: ...
+
+    def cameras(self) -> tuple[str, ...]:
+        """What the goal must be shown through."""
+        ...
+
+    def build(self, environment: Environment) -> Actor:
+        """Raises PlaylearnError where it cannot act in this environment."""
+        ...
+
+    def describe(self) -> dict[str, Any]:
+        """For results.json."""
+        ...
+
+
+@dataclass(frozen=True)
+class Expert:
+    """The environment's scripted expert, as `make(environment)` builds it."""
+
+    make: Callable[[Environment], Actor]
+    name: str = "expert"
+
+    def cameras(self) -> tuple[str, ...]:
+        return ()
+
+    def build(self, environment: Environment) -> Actor:
+        return self.make(environment)
+
+    def describe(self) -> dict[str, Any]:
+        return {"type": self.name}
+
+
+@dataclass(frozen=True)
+class Random:
+    """Smooth random actions."""
+
+    name: str = "random"
+
+    def cameras(self) -> tuple[str, ...]:
+        return ()
+
+    def build(self, environment: Environment) -> Actor:
+        return RandomActor(len(environment.spec.action_names))
+
+    def describe(self) -> dict[str, Any]:
+        return {"type": self.name}
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A policy that `playlearn train` left in `run`, shown its goal as `goal` ("image" or "state").
+
+    execute: actions of a chunk carried out before it plans again. guidance: weight of the goal.
+    """
+
+    run: Path
+    goal: str
+    execute: int | None = None
+    guidance: float | None = None
+    name: str = "policy"
+
+    def check(self) -> None:
+        """What can be checked without a simulator.
+
+        Raises:
+            CheckpointError: no policy there, or not a whole one.
+            UsageError: it does not read goals of this modality.
+        """
+        if not self.run.is_dir():
+            raise CheckpointError(f"there is no run at {self.run}; make one with: playlearn train --out {self.run}")
+        reads = load_policy(self.run / "policy").config.encoder.goal
+        if reads != self.goal:
+            raise UsageError(f"{self.run} reads its goal from {_ARTICLE[reads]}: use --goal {reads}")
+
+    def cameras(self) -> tuple[str, ...]:
+        return load_policy(self.run / "policy").cameras
+
+    def build(self, environment: Environment) -> Actor:
+        policy = load_policy(self.run / "policy")
+        missing = [camera for camera in policy.cameras if camera not in environment.spec.cameras]
+        seen = {} if missing else environment.observe(policy.cameras).images
+        policy.check(environment.spec, {camera: (image.shape[0], image.shape[1]) for camera, image in seen.items()})
+        _check_controller(policy.spec.controller, environment.spec.controller)
+        return PolicyActor(policy, execute=self._execute(policy), guidance=self.guidance, name=self.name)
+
+    def describe(self) -> dict[str, Any]:
+        policy = load_policy(self.run / "policy")
+        return {
+            "type": "trained",
+            "run": str(self.run),
+            "execute": self._execute(policy),
+            "guidance": self.guidance,
+            "config": to_dict(policy.config),
+        }
+
+    def _execute(self, policy: Policy) -> int:
+        return min(8, policy.config.chunk) if self.execute is None else self.execute
+
+
+def _check_controller(trained: Mapping[str, Any], here: Mapping[str, Any]) -> None:
+    """Raises CheckpointError where the same action would move another robot, or move it otherwise."""
+    mine, its = (json.loads(json.dumps(facts, default=list)) for facts in (dict(trained), dict(here)))
+    for name in sorted(mine.keys() & its.keys()):
+        if mine[name] != its[name]:
+            raise CheckpointError(
+                f"the policy was trained with controller {name} {mine[name]}, this suite's environment has {its[name]}: "
+                "evaluate it on a suite of its own environment"
+            )
+
+
+_ARTICLE = {"image": "an image", "state": "a state"}
+
+
+@cache
+def load_policy(path: Path) -> Policy:
+    """The policy at `path`, read once a process."""
+    return Policy.load(path)

@@ -1,0 +1,209 @@
+"""`playlearn eval`: assembles a suite, contenders and an executor, and writes what came out."""
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from playlearn.config import atomic_write, git_revision, to_dict, versions
+from playlearn.config.schema import nearest
+from playlearn.errors import PlaylearnError, UsageError
+from playlearn.evaluate.cohort import Attempt, Track, draw_track, lost, run_cohort
+from playlearn.evaluate.contenders import Contender, Expert, Random, Trained
+from playlearn.evaluate.results import by_policy, curve, parquet, summary, to_film, to_show
+from playlearn.evaluate.suite import SuiteConfig, load_suite
+from playlearn.executor import Executor, Job, LocalExecutorConfig, LostError, Result
+from playlearn.report.page import Shown, page
+from playlearn.report.pictures import Pictures
+from playlearn.rollout import Actor
+from playlearn.sim.environment import Environment, EnvironmentSpec
+
+GOALS = ("image", "state")
+POLICIES = ("expert", "random")
+SHOWN_SUCCESSES, SHOWN_FAILURES = 1, 2  # of each task
+FILMED_SUCCESSES, FILMED_FAILURES = 2, 3  # in all
+PLAIN_SECONDS = 10.0  # between two lines on a pipe
+
+
+def evaluate(
+    suite: Path,
+    *,
+    out: Path,
+    run: Path | None = None,
+    policy: str | None = None,
+    goal: str = "image",
+    episodes: int | None = None,
+    workers: int | None = None,
+    seed: int | None = None,
+    references: bool = True,
+    overrides: Sequence[str] = (),
+    expert: Callable[[Environment], Actor] | None = None,
+) -> dict[str, Any]:
+    """Judge a run's policy, the expert or chance on a suite; write results.json, episodes.parquet and report.html.
+
+    With `references` the expert and chance attempt the same episodes. `expert` builds the
+    environment's expert; by default it is that of `playlearn.teleop`.
+
+    Returns what results.json says.
+
+    Raises:
+        UsageError: arguments, suite or goal modality are wrong.
+        CheckpointError: there is no such run, or it was made for another environment.
+        PlaylearnError: the suite cannot be set up.
+    """
+    started = time.perf_counter()
+    given = {"episodes": episodes, "seed": seed}
+    config = load_suite(suite, [*overrides, *(f"--{k}={v}" for k, v in given.items() if v is not None)])
+    config = replace(config, kind=config.kind.prepare(run))
+    teacher = Expert(expert or _expert_of_the_environment())
+    contenders = _contenders(config, run, policy, goal, teacher, references=references)
+    executor = LocalExecutorConfig(workers=workers).build()
+    _make(out)
+
+    main = contenders[0].name
+    with executor:
+        gathered = _attempt(config, contenders, teacher, executor)
+        if gathered.spec is None:
+            raise PlaylearnError(f"every worker was lost; the last: {gathered.attempts[-1].reason}")
+        grouped = by_policy(gathered.attempts)
+        shown, note = _pictures(config, grouped[main], gathered.tracks, executor)
+    results = {
+        "suite": config.name,
+        "goal_modality": goal,
+        **summary(grouped[main]),
+        "references": {name: summary(grouped[name]) for name in POLICIES if name in grouped},
+        "redraws": sum(attempt.redraws for attempt in grouped[main]),
+        "seed": config.seed,
+        "achieved_names": list(gathered.spec.achieved_names),
+        "renderer": gathered.renderer,
+        "versions": versions(),
+        "revision": git_revision(),
+        "policy": {"name": main, **contenders[0].describe()},
+        "config": to_dict(config),
+        "seconds": round(time.perf_counter() - started, 3),
+    }
+    curves = {name: curve(grouped[name], config.max_steps) for name in grouped}
+    atomic_write(out / "episodes.parquet", parquet([attempt for rows in grouped.values() for attempt in rows]))
+    atomic_write(out / "report.html", page(results, curves, gathered.spec.fps, shown, note).encode())
+    atomic_write(out / "results.json", json.dumps(results, indent=2).encode())
+    return results
+
+
+@dataclass(eq=False)
+class _Gathered:
+    """What the workers gave. tracks: of the first contender, and only those that may be shown."""
+
+    attempts: list[Attempt] = field(default_factory=list)
+    tracks: dict[int, Track] = field(default_factory=dict)
+    renderer: str = ""
+    spec: EnvironmentSpec | None = None
+
+
+def _attempt(config: SuiteConfig, contenders: Sequence[Contender], expert: Expert, executor: Executor) -> _Gathered:
+    """Every contender's attempt at every episode."""
+    jobs = {
+        cohort[0]: Job(
+            key=cohort[0],
+            function=run_cohort,
+            kwargs={"suite": config, "episodes": cohort, "contenders": tuple(contenders), "expert": expert},
+            seed=config.seed,
+        )
+        for cohort in config.cohorts()
+    }
+    gathered = _Gathered()
+    for result in _progress(executor.run(jobs.values(), keep_going=True), len(jobs), config):
+        if result.error is None:
+            gathered.attempts += result.value.attempts
+            gathered.tracks |= result.value.tracks
+            gathered.renderer, gathered.spec = result.value.renderer, result.value.spec
+        elif isinstance(result.error, LostError):
+            cohort = jobs[result.key].kwargs["episodes"]
+            gathered.attempts += [lost(e, c.name, f"crashed: {result.error}") for e in cohort for c in contenders]
+        else:
+            raise result.error  # it could not even be set up: there is nothing to judge
+        main = [attempt for attempt in gathered.attempts if attempt.policy == contenders[0].name]
+        keep = {attempt.episode for attempt in to_show(main, SHOWN_SUCCESSES, SHOWN_FAILURES)}
+        gathered.tracks = {episode: track for episode, track in gathered.tracks.items() if episode in keep}
+    return gathered
+
+
+def _pictures(
+    config: SuiteConfig, attempts: Sequence[Attempt], tracks: dict[int, Track], executor: Executor
+) -> tuple[list[Shown], str]:
+    """Start, goal and final of a few attempts, films of fewer; and why there are none, if there are none."""
+    chosen = [a for a in to_show(attempts, SHOWN_SUCCESSES, SHOWN_FAILURES) if a.episode in tracks]
+    filmed = to_film(chosen, FILMED_SUCCESSES, FILMED_FAILURES)
+    jobs = [
+        Job(
+            key=attempt.episode,
+            function=draw_track,
+            kwargs={"suite": config, "track": tracks[attempt.episode], "film": attempt.episode in filmed},
+        )
+        for attempt in chosen
+    ]
+    drawn: dict[int, Pictures] = {}
+    for result in executor.run(jobs, keep_going=True):
+        if result.error is not None:
+            # A report without pictures is worth more than none: the attempts are done.
+            return [], f"No pictures: {result.error}"
+        drawn[result.key] = result.value
+    shown = [Shown(a.episode, a.task, a.success, a.reason, steps=a.steps, pictures=drawn[a.episode]) for a in chosen]
+    return shown, ""
+
+
+def _contenders(
+    config: SuiteConfig, run: Path | None, policy: str | None, goal: str, expert: Expert, *, references: bool
+) -> list[Contender]:
+    """Who attempts the suite, the one that is judged first; refuses what cannot work before anything is simulated."""
+    if goal not in GOALS:
+        raise UsageError(f"--goal is {goal!r}{nearest(goal, GOALS)}")
+    if (run is None) == (policy is None):
+        raise UsageError("give either --run RUN, a trained policy, or --policy expert|random, a reference")
+    known: dict[str, Contender] = {expert.name: expert, "random": Random()}
+    if policy is not None and policy not in known:
+        raise UsageError(f"--policy is {policy!r}{nearest(policy, POLICIES)}; a trained one is given as --run RUN")
+    if run is not None:
+        trained = Trained(run, goal, config.execute, config.guidance)
+        trained.check()
+        return [trained, *(known.values() if references else ())]
+    judged = known.pop(str(policy))
+    return [judged, *(known.values() if references else ())]
+
+
+def _expert_of_the_environment() -> Callable[[Environment], Actor]:
+    from playlearn.teleop import expert_for
+
+    return expert_for
+
+
+def _make(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"cannot write to --out {out}: {error.strerror}; name a folder") from error
+
+
+def _progress(results: Iterable[Result], cohorts: int, config: SuiteConfig) -> Iterator[Result]:
+    """A bar on a terminal; on a pipe a plain line now and then."""
+    silent = not sys.stderr.isatty()
+    started = said = time.perf_counter()
+    with tqdm(total=config.episodes, unit="episode", desc=config.name, disable=silent) as bar:
+        for done, result in enumerate(results, 1):
+            episodes = min(done * config.cohort, config.episodes)
+            bar.update(episodes - bar.n)
+            now = time.perf_counter()
+            if silent and (now - said > PLAIN_SECONDS or done == cohorts):
+                said = now
+                rate = episodes / (now - started)
+                left = (config.episodes - episodes) / rate
+                print(
+                    f"{config.name}: {episodes}/{config.episodes} episodes, {rate:.2f}/s, {left:.0f} s left",
+                    file=sys.stderr,
+                    flush=True,
+                )
+            yield result

@@ -1,0 +1,344 @@
+"""The same seed-keyed jobs, on one core or many: results never depend on how many workers there are.
+
+A worker is a process that lives as long as the run, so a job's function may keep what is dear to
+build (a simulator, a policy) in a `functools.cache`. Each has one thread for numerics and one for
+software GL: many processes of one thread are quicker than one of many, and sums come out alike.
+"""
+
+import copy
+import multiprocessing
+import os
+import signal
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+from typing import Any, Protocol, Self
+
+import draccus
+
+from playlearn.errors import PlaylearnError, UsageError
+
+# LP_NUM_THREADS is that of llvmpipe, Mesa's software GL: 0 draws in the calling thread, without handing over.
+THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+SINGLE_THREAD = {**dict.fromkeys(THREADS, "1"), "LP_NUM_THREADS": "0"}
+
+
+class LostError(PlaylearnError):
+    """A job whose worker died or hung every time it was tried."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """`function(**kwargs)`, to be called in some process.
+
+    key: names the job in results and messages. function: importable by name (module level).
+    seed: the seed the job is keyed by, for the message when it cannot be done.
+    """
+
+    key: Any
+    function: Callable[..., Any]
+    kwargs: Mapping[str, Any] = field(default_factory=dict)
+    seed: int | None = None
+
+    def __post_init__(self) -> None:
+        if "<" in getattr(self.function, "__qualname__", "<"):
+            raise ValueError(f"{self.function} cannot be imported by name: a job's function stands at module level")
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a job gave. error: why it could not be done (then value is None). tries: 1 unless a worker was lost."""
+
+    key: Any
+    value: Any
+    seconds: float
+    tries: int = 1
+    error: Exception | None = None
+
+
+class Executor(Protocol):
+    """Runs jobs somewhere. In a `with` block its workers live on from one `run` to the next."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def run(self, jobs: Iterable[Job], *, keep_going: bool = False) -> Iterator[Result]:
+        """Yield results as they are finished, each job exactly once.
+
+        A job whose worker died or hung runs again with the same arguments. With `keep_going`, what
+        could not be done is yielded as a Result with `error` instead of being raised.
+
+        Raises:
+            LostError: a job was lost more often than it is tried again; names its key and seed.
+            Exception: what a job's function raised, with the worker's traceback as a note.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class ExecutorConfig(draccus.ChoiceRegistry):
+    """The base of every executor's config; `type:` in a YAML picks the kind."""
+
+    def build(self) -> Executor:
+        raise NotImplementedError
+
+
+@ExecutorConfig.register_subclass("local")
+@dataclass(frozen=True)
+class LocalExecutorConfig(ExecutorConfig):
+    """Processes of this machine.
+
+    workers: how many (null: one for each core this process may use; 0: none, in this very process).
+    timeout: seconds after which a job counts as hung (null: never). retries: further tries of a
+    job whose worker was lost.
+    """
+
+    workers: int | None = None
+    timeout: float | None = None
+    retries: int = 2
+
+    def build(self) -> Executor:
+        if self.workers is not None and self.workers < 0:
+            raise UsageError(f"workers is {self.workers}; give 0 (in this process) or more, or leave it out")
+        if self.workers == 0:
+            return InProcessExecutor()
+        return LocalExecutor(self.workers or available_cores(), self.timeout, self.retries)
+
+
+def available_cores() -> int:
+    """The cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class InProcessExecutor:
+    """One job after the other in this process: for tests and debuggers."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def run(self, jobs: Iterable[Job], *, keep_going: bool = False) -> Iterator[Result]:
+        for job in jobs:
+            started = time.perf_counter()
+            try:
+                value, error = job.function(**job.kwargs), None
+            except Exception as raised:
+                if not keep_going:
+                    raise
+                value, error = None, raised
+            yield Result(job.key, value, time.perf_counter() - started, error=error)
+
+
+class LocalExecutor:
+    """`workers` spawned processes, each doing one job at a time; see `Executor.run`."""
+
+    def __init__(self, workers: int, timeout: float | None = None, retries: int = 2) -> None:
+        self._workers = workers
+        self._timeout = timeout
+        self._retries = retries
+        self._crew: list[_Worker] = []
+        self._keep = False
+
+    def __enter__(self) -> Self:
+        self._keep = True
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._keep = False
+        self._let_go()
+
+    def run(self, jobs: Iterable[Job], *, keep_going: bool = False) -> Iterator[Result]:
+        pending = deque(_Task(job) for job in jobs)
+        crew = self._crew
+        try:
+            while pending or any(worker.task for worker in crew):
+                self._hand_out(pending, crew)
+                for worker, task in self._ready(crew):
+                    result = worker.collect(task)
+                    if result is None:
+                        crew.remove(worker)
+                        result = self._lost(worker, task, pending)
+                    if result is None:
+                        continue
+                    if result.error is not None and not keep_going:
+                        raise result.error
+                    yield result
+        finally:
+            self._let_go()  # also the way out of Ctrl-C and of a caller that stops listening
+
+    def _let_go(self) -> None:
+        """Dismiss the crew; inside a `with` block only those that are in the middle of something."""
+        leaving = [worker for worker in self._crew if not self._keep or worker.task is not None]
+        self._crew = [worker for worker in self._crew if worker not in leaving]
+        _dismiss(leaving)
+
+    def _hand_out(self, pending: deque["_Task"], crew: list["_Worker"]) -> None:
+        idle = [worker for worker in crew if worker.task is None]
+        while pending and (idle or len(crew) < self._workers):
+            if not idle:
+                crew.append(_Worker())
+                idle.append(crew[-1])
+            idle.pop().start(pending.popleft())
+
+    def _ready(self, crew: list["_Worker"]) -> list[tuple["_Worker", "_Task"]]:
+        """The busy workers that answered, died or are overdue; waits until there is one."""
+        busy = [(worker, worker.task) for worker in crew if worker.task is not None]
+        until = None
+        if self._timeout is not None:
+            until = max(0.0, min(task.started for _, task in busy) + self._timeout - time.perf_counter())
+        signs = [sign for worker, _ in busy for sign in (worker.pipe, worker.process.sentinel)]
+        seen = set(wait(signs, until))
+        return [
+            (worker, task)
+            for worker, task in busy
+            if seen & {worker.pipe, worker.process.sentinel} or task.overdue(self._timeout)
+        ]
+
+    def _lost(self, worker: "_Worker", task: "_Task", pending: deque["_Task"]) -> Result | None:
+        """Put the job of a lost worker back in front, or give up on it."""
+        overdue = worker.process.is_alive() and task.overdue(self._timeout)
+        why = worker.bury()
+        if overdue:
+            why = f"did not finish within {self._timeout:g} s"
+        if task.tries <= self._retries:
+            pending.appendleft(_Task(task.job, task.tries + 1))
+            return None
+        message = (
+            f"job {task.job.key} (seed {task.job.seed}) was lost {task.tries} times: its worker process {why}. "
+            "Is memory short (dmesg tells)? Run it alone with --workers 1, or with --workers 0 to see it fail here."
+        )
+        return task.result(None, LostError(message))
+
+
+@dataclass
+class _Task:
+    """A job on its way: how often it was handed out, and when last."""
+
+    job: Job
+    tries: int = 1
+    started: float = 0.0
+
+    def overdue(self, timeout: float | None) -> bool:
+        return timeout is not None and time.perf_counter() - self.started >= timeout
+
+    def result(self, value: Any, error: Exception | None) -> Result:
+        return Result(self.job.key, value, time.perf_counter() - self.started, self.tries, error)
+
+
+class _Worker:
+    """A process and this end of its pipe."""
+
+    def __init__(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.pipe, theirs = context.Pipe()
+        self.process: SpawnProcess = context.Process(target=_serve, args=(theirs,), daemon=True)
+        with _environment(SINGLE_THREAD):
+            self.process.start()
+        theirs.close()
+        self.task: _Task | None = None
+
+    def start(self, task: _Task) -> None:
+        self.task, task.started = task, time.perf_counter()
+        # One that died while idle: its sentinel says so, and the job is handed out again.
+        with suppress(BrokenPipeError, ConnectionResetError):
+            self.pipe.send((task.job.function, dict(task.job.kwargs)))
+
+    def collect(self, task: _Task) -> Result | None:
+        """The finished job's result; None where the worker is dead or overdue."""
+        if not self.pipe.poll():
+            return None
+        try:
+            value, error = self.pipe.recv()
+        except (EOFError, OSError):
+            return None
+        self.task = None
+        return task.result(value, error)
+
+    def bury(self) -> str:
+        """Make sure that a lost worker is gone; how it ended, in words."""
+        self.process.join(timeout=0.1)  # its pipe may close a moment before it is dead
+        self.process.kill()
+        self.process.join()
+        self.pipe.close()
+        code = self.process.exitcode or 0
+        return f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+
+    def dismiss(self) -> None:
+        """Tell an idle worker to go home; stop one that is still busy."""
+        try:
+            if self.task is None:
+                self.pipe.send(None)
+            else:
+                self.process.terminate()
+        except OSError:
+            self.process.kill()
+
+
+def _dismiss(crew: list[_Worker]) -> None:
+    for worker in crew:
+        worker.dismiss()
+    for worker in crew:
+        worker.process.join(timeout=5)
+        worker.process.kill()
+        worker.process.join()
+        worker.pipe.close()
+
+
+def _serve(pipe: Connection) -> None:
+    """A worker's life: do jobs until told to stop or until the parent is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides
+    while True:
+        try:
+            message = pipe.recv()
+        except (EOFError, OSError):
+            return
+        if message is None:
+            return
+        function, kwargs = message
+        try:
+            answer: tuple[Any, Exception | None] = (function(**kwargs), None)
+        except Exception as error:  # noqa: BLE001 - whatever it is, the parent raises it
+            error.add_note(f"in a worker process:\n{traceback.format_exc()}")
+            answer = (None, _portable(error))
+        _answer(pipe, answer)
+
+
+def _answer(pipe: Connection, answer: tuple[Any, Exception | None]) -> None:
+    try:
+        pipe.send(answer)
+    except OSError:
+        return  # the parent is gone
+    except Exception as error:  # noqa: BLE001 - a value that cannot travel between processes
+        pipe.send((None, PlaylearnError(f"a job's answer cannot be sent: {error}; it was {answer!r:.500}")))
+
+
+def _portable(error: Exception) -> Exception:
+    """The error itself where it can be built again from its arguments, else one that quotes it."""
+    try:
+        copy.copy(error)  # by the same means as the pipe
+    except Exception:  # noqa: BLE001 - its own code runs here
+        return RuntimeError("".join(traceback.format_exception(error)))
+    return error
+
+
+@contextmanager
+def _environment(variables: Mapping[str, str]) -> Iterator[None]:
+    """`os.environ` with these variables while a child is started, which inherits them."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

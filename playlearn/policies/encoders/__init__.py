@@ -1,0 +1,19 @@
+"""Encoders: what turns observations and goals into tokens, one file a kind."""
+
+from playlearn.policies.encoders.base import Encoder, EncoderConfig, Modality, Tokens
+from playlearn.policies.encoders.cnn import CNNConfig
+from playlearn.policies.encoders.image import AuxiliaryConfig, ImageConfig
+from playlearn.policies.encoders.state import StateConfig
+from playlearn.policies.encoders.torchvision import TorchvisionConfig
+
+__all__ = [
+    "AuxiliaryConfig",
+    "CNNConfig",
+    "Encoder",
+    "EncoderConfig",
+    "ImageConfig",
+    "Modality",
+    "StateConfig",
+    "Tokens",
+    "TorchvisionConfig",
+]

@@ -1,0 +1,65 @@
+"""What every encoder offers: observation history and goal in, tokens out."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import draccus
+import torch
+from torch import Tensor, nn
+
+from playlearn.policies.inputs import Observed, PolicySpec
+
+Modality = Literal["state", "image"]
+
+
+@dataclass(frozen=True)
+class EncoderConfig(draccus.ChoiceRegistry):
+    """The base of every encoder's config; `type:` in a YAML picks the kind.
+
+    goal_names: shell-style patterns of the achieved dimensions that a goal speaks of.
+    """
+
+    goal: ClassVar[Modality]
+    goal_names: tuple[str, ...] = ("*",)
+
+    @property
+    def observation_cameras(self) -> tuple[str, ...]:
+        """The cameras an observation must bring."""
+        return ()
+
+    @property
+    def goal_cameras(self) -> tuple[str, ...]:
+        """The cameras a goal must bring."""
+        return ()
+
+    def build(self, spec: PolicySpec, width: int, *, fetch: bool = True) -> "Encoder":
+        """width: D of a token. fetch: whether weights may be downloaded, if the config asks for any."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, eq=False)
+class Tokens:
+    """goal (B, N, D), steps (B, T, M, D); estimates of the normalised achieved, (B, T, G) and (B, G), where made."""
+
+    goal: Tensor
+    steps: Tensor
+    observed: Tensor | None = None
+    wanted: Tensor | None = None
+
+
+class Encoder(nn.Module):
+    """Turns normalised inputs into tokens. goal_tokens: N, step_tokens: M of `Tokens`."""
+
+    goal_tokens: int
+    step_tokens: int
+
+    def forward(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
+        """inputs: state and achieved normalised, images uint8. keep: (B,) bool, False where the goal is withheld.
+
+        generator: draws the augmentation; None for none (evaluation).
+        """
+        raise NotImplementedError
+
+    def auxiliary(self, tokens: Tokens, inputs: Observed) -> dict[str, Tensor]:
+        """Weighted losses of what is learned on the side, by name; used in training only."""
+        return {}

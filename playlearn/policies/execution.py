@@ -1,0 +1,131 @@
+"""Chunk execution: a policy plans H actions at once, a few are executed, then it plans again."""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from playlearn.episode import Array, Decision, Goal, Observation
+from playlearn.errors import UsageError
+from playlearn.policies.inputs import Inputs
+from playlearn.policies.policy import Policy
+
+
+@dataclass
+class _Row:
+    """What is remembered of one environment. plans: (moment planned at, chunk (H, A)), newest last."""
+
+    goal: Goal
+    generator: torch.Generator
+    history: deque[Observation]
+    plans: list[tuple[int, Array]] = field(default_factory=list)
+    moment: int = -1
+
+
+class PolicyActor:
+    """Acts in K environments with one policy (a rollout's Actor).
+
+    execute: actions of a chunk that are carried out before the next plan (receding horizon).
+    guidance: weight of the goal, see `Policy.act`. ensemble: None, or the rate m of temporal
+    ensembling: a plan at every step, and all plans for a moment averaged with weight exp(-m i), i = 0
+    for the oldest (Zhao et al. 2023); `execute` is then 1.
+
+    What one environment gets does not depend on the others: each has a generator of its own, and a
+    plan is always computed for all K rows, so that every row sees the same arithmetic.
+    """
+
+    def __init__(
+        self,
+        policy: Policy,
+        execute: int = 8,
+        guidance: float | None = None,
+        ensemble: float | None = None,
+        name: str = "policy",
+    ) -> None:
+        chunk = policy.config.chunk
+        if not 1 <= execute <= chunk:
+            raise UsageError(f"execute must be between 1 and the policy's chunk of {chunk}, got {execute}")
+        self.name, self.cameras = name, policy.cameras
+        self.policy = policy.eval()
+        self.execute = execute if ensemble is None else 1
+        self.guidance, self.ensemble = guidance, ensemble
+        self._rows: list[_Row] = []
+
+    def reset(self, goals: Sequence[Goal | None], seeds: Sequence[int]) -> None:
+        """Begin K episodes; forgets the ones before.
+
+        Raises:
+            UsageError: a goal is missing, or shows none of the cameras the policy reads goals from.
+        """
+        for goal in goals:
+            for camera in self.policy.config.encoder.goal_cameras:
+                if goal is None or camera not in goal.images:
+                    raise UsageError(f"{self.name} reads its goal from a {camera!r} image, and there is none")
+            if goal is None:
+                raise UsageError(f"{self.name} needs a goal")
+        steps = self.policy.config.history
+        self._rows = [
+            _Row(goal, torch.Generator().manual_seed(seed), deque(maxlen=steps))
+            for goal, seed in zip(goals, seeds, strict=True)
+            if goal is not None
+        ]
+
+    def act(self, observations: Sequence[Observation], active: Sequence[bool]) -> list[Decision]:
+        """One decision an environment; those of inactive ones mean nothing."""
+        due = []
+        for row, observation, running in zip(self._rows, observations, active, strict=True):
+            if not running and row.history:
+                continue
+            row.history.append(observation)
+            row.moment += 1
+            if running and (not row.plans or row.moment - row.plans[-1][0] >= self.execute):
+                due.append(row)
+        if due:
+            self._plan(due)
+        return [Decision(action=self._action(row)) for row in self._rows]
+
+    def _plan(self, due: list[_Row]) -> None:
+        # a row that is not due must not draw noise from its own generator
+        spare = torch.Generator()
+        generators = [row.generator if row in due else spare for row in self._rows]
+        chunks = self.policy.act(self._inputs(), generators, self.guidance).numpy()
+        for row, chunk in zip(self._rows, chunks, strict=True):
+            if row in due:
+                row.plans.append((row.moment, chunk))
+                row.plans = [plan for plan in row.plans if row.moment - plan[0] < len(chunk)]
+
+    def _action(self, row: _Row) -> Array:
+        if not row.plans:
+            return np.zeros(len(self.policy.spec.action_names), np.float32)
+        if self.ensemble is None:
+            planned, chunk = row.plans[-1]
+            action: Array = chunk[min(row.moment - planned, len(chunk) - 1)]
+            return action
+        candidates = np.stack([chunk[row.moment - planned] for planned, chunk in row.plans])
+        weights = np.exp(-self.ensemble * np.arange(len(candidates)))
+        mean: Array = (weights[:, None] * candidates).sum(0) / weights.sum()
+        return mean.astype(np.float32)
+
+    def _inputs(self) -> Inputs:
+        encoder, steps = self.policy.config.encoder, self.policy.config.history
+        histories = [[row.history[0]] * (steps - len(row.history)) + list(row.history) for row in self._rows]
+        moments = [observation for history in histories for observation in history]
+        goals = [row.goal for row in self._rows]
+
+        def stack(values: list[Array]) -> Tensor:
+            rows: Tensor = torch.from_numpy(np.stack(values))
+            return rows.view(len(goals), steps, *rows.shape[1:])
+
+        return Inputs(
+            state=stack([o.state for o in moments]),
+            achieved=stack([o.achieved for o in moments]),
+            history_mask=torch.tensor(
+                [[False] * (steps - len(row.history)) + [True] * len(row.history) for row in self._rows]
+            ),
+            goal_achieved=torch.from_numpy(np.stack([goal.achieved for goal in goals])),
+            images={c: stack([o.images[c] for o in moments]) for c in encoder.observation_cameras},
+            goal_images={c: torch.from_numpy(np.stack([g.images[c] for g in goals])) for c in encoder.goal_cameras},
+        )

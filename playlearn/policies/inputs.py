@@ -1,0 +1,144 @@
+"""What a policy reads. Any object with these fields will do: the dataset's Batch has them, and so has `Inputs`."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from playlearn.errors import CheckpointError, UsageError
+
+
+class Observed(Protocol):
+    """Observation history and goal of B examples (fields as in `Inputs`)."""
+
+    @property
+    def state(self) -> Tensor: ...
+    @property
+    def achieved(self) -> Tensor: ...
+    @property
+    def images(self) -> Mapping[str, Tensor]: ...
+    @property
+    def history_mask(self) -> Tensor: ...
+    @property
+    def goal_achieved(self) -> Tensor: ...
+    @property
+    def goal_images(self) -> Mapping[str, Tensor]: ...
+
+
+class Labelled(Observed, Protocol):
+    """The same with what a learner copies: action (B, H, A) in [-1, 1], action_mask (B, H) bool, True if it counts."""
+
+    @property
+    def action(self) -> Tensor: ...
+    @property
+    def action_mask(self) -> Tensor: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """Observation history and goal of B examples.
+
+    state (B, T, S), achieved (B, T, G), images camera -> (B, T, h, w, 3) uint8, history_mask (B, T) bool,
+    False where the history was padded by repeating its first observation; goal_achieved (B, G),
+    goal_images camera -> (B, h, w, 3) uint8.
+    """
+
+    state: Tensor
+    achieved: Tensor
+    history_mask: Tensor
+    goal_achieved: Tensor
+    images: Mapping[str, Tensor] = field(default_factory=dict)
+    goal_images: Mapping[str, Tensor] = field(default_factory=dict)
+
+    def to(self, device: torch.device | str) -> "Inputs":
+        return Inputs(
+            state=self.state.to(device),
+            achieved=self.achieved.to(device),
+            history_mask=self.history_mask.to(device),
+            goal_achieved=self.goal_achieved.to(device),
+            images={camera: frames.to(device) for camera, frames in self.images.items()},
+            goal_images={camera: frames.to(device) for camera, frames in self.goal_images.items()},
+        )
+
+
+class Named(Protocol):
+    """What an environment or a store says of its numbers."""
+
+    @property
+    def state_names(self) -> tuple[str, ...]: ...
+    @property
+    def achieved_names(self) -> tuple[str, ...]: ...
+    @property
+    def action_names(self) -> tuple[str, ...]: ...
+    @property
+    def fps(self) -> float: ...
+
+
+@dataclass(frozen=True)
+class PolicySpec:
+    """The world a policy was made for: what each index means, fps, camera -> (height, width) in pixels."""
+
+    state_names: tuple[str, ...]
+    achieved_names: tuple[str, ...]
+    action_names: tuple[str, ...]
+    fps: float
+    cameras: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    controller: Mapping[str, Any] = field(default_factory=dict)
+
+    def check(self, other: Named, cameras: Mapping[str, tuple[int, int]], needed: tuple[str, ...]) -> None:
+        """Refuse a world whose numbers mean something else.
+
+        needed: the cameras the policy reads; only these are compared.
+
+        Raises:
+            CheckpointError: names, fps or a needed camera differ; the message says which.
+        """
+        for what in ("state_names", "achieved_names", "action_names"):
+            mine, theirs = tuple(getattr(self, what)), tuple(getattr(other, what))
+            if mine != theirs:
+                raise CheckpointError(_difference(what.removesuffix("_names"), mine, theirs))
+        if self.fps != other.fps:
+            raise CheckpointError(
+                f"the policy was trained at {self.fps:g} Hz, this environment runs at {other.fps:g} Hz"
+            )
+        for camera in needed:
+            if camera not in cameras:
+                raise CheckpointError(
+                    f"the policy looks through camera {camera!r}, which is not there: {_names(cameras)}"
+                )
+            if tuple(cameras[camera]) != tuple(self.cameras[camera]):
+                raise CheckpointError(
+                    f"camera {camera!r} is {tuple(cameras[camera])} pixels here, the policy was trained on "
+                    f"{tuple(self.cameras[camera])}: set the environment's cameras to that size"
+                )
+
+    def select(self, patterns: tuple[str, ...]) -> list[int]:
+        """The indices of `achieved` whose name matches one of the shell-style patterns.
+
+        Raises:
+            UsageError: a pattern matches no name.
+        """
+        for pattern in patterns:
+            if not any(fnmatchcase(name, pattern) for name in self.achieved_names):
+                raise UsageError(f"goal pattern {pattern!r} matches none of: {', '.join(self.achieved_names)}")
+        return [i for i, name in enumerate(self.achieved_names) if any(fnmatchcase(name, p) for p in patterns)]
+
+
+def _difference(what: str, mine: tuple[str, ...], theirs: tuple[str, ...]) -> str:
+    missing = [name for name in mine if name not in theirs]
+    added = [name for name in theirs if name not in mine]
+    parts = [f"the policy was trained for another {what}"]
+    if missing:
+        parts.append(f"it expects {', '.join(missing)}, which this environment lacks")
+    if added:
+        parts.append(f"this environment has {', '.join(added)}, which it does not know")
+    if not missing and not added:
+        parts.append(f"the order differs: {', '.join(mine)} against {', '.join(theirs)}")
+    return "; ".join(parts)
+
+
+def _names(cameras: Mapping[str, Any]) -> str:
+    return "the cameras are " + ", ".join(sorted(cameras)) if cameras else "there are no cameras"

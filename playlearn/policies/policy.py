@@ -1,0 +1,201 @@
+"""A goal-conditioned policy: encoder, trunk and head over a normaliser."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors.torch import load_file, save
+from torch import Tensor, nn
+
+from playlearn.config import atomic_write, from_dict, to_dict
+from playlearn.errors import CheckpointError, PlaylearnError, UsageError
+from playlearn.policies.encoders import EncoderConfig, StateConfig
+from playlearn.policies.heads import DeterministicConfig, Generators, Guidance, HeadConfig
+from playlearn.policies.inputs import Inputs, Labelled, Named, Observed, PolicySpec
+from playlearn.policies.normalise import Normaliser, Statistics
+from playlearn.policies.trunks import TransformerConfig, TrunkConfig
+
+WEIGHTS, DESCRIPTION = "policy.safetensors", "policy.json"
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class PolicyConfig:
+    """history: observations it sees, the present one included. chunk: H, actions predicted at once.
+
+    goal_dropout: share of training examples whose goal is withheld, which makes guidance possible.
+    """
+
+    encoder: EncoderConfig = field(default_factory=StateConfig)
+    trunk: TrunkConfig = field(default_factory=TransformerConfig)
+    head: HeadConfig = field(default_factory=DeterministicConfig)
+    history: int = 1
+    chunk: int = 16
+    goal_dropout: float = 0.1
+
+    def build(
+        self, spec: PolicySpec, statistics: Mapping[str, Statistics] | None, seed: int, *, fetch: bool = True
+    ) -> "Policy":
+        """A fresh policy; the seed decides its weights, and global random state is left as it was.
+
+        statistics: of `state`, `achieved` and `action`; None for a policy whose weights are loaded next.
+
+        Raises:
+            UsageError: the config asks for a camera or goal dimension that `spec` does not have.
+        """
+        encoder = self.encoder
+        for camera in (*encoder.observation_cameras, *encoder.goal_cameras):
+            if camera not in spec.cameras:
+                raise UsageError(f"the policy's encoder wants camera {camera!r}, there is {sorted(spec.cameras)}")
+        with torch.random.fork_rng(devices=[]):
+            torch.random.manual_seed(seed)
+            return Policy(self, spec, statistics, fetch=fetch)
+
+
+class Policy(nn.Module):
+    """Goal-conditioned chunks of actions. Built by `PolicyConfig.build` or `Policy.load`."""
+
+    def __init__(
+        self, config: PolicyConfig, spec: PolicySpec, statistics: Mapping[str, Statistics] | None, *, fetch: bool
+    ) -> None:
+        super().__init__()
+        self.config, self.spec = config, spec
+        widths = {
+            "state": len(spec.state_names),
+            "achieved": len(spec.achieved_names),
+            "action": len(spec.action_names),
+        }
+        self.normaliser = Normaliser.identity(widths) if statistics is None else Normaliser(statistics)
+        width = config.trunk.width
+        self.encoder = config.encoder.build(spec, width, fetch=fetch)
+        self.trunk = config.trunk.build(self.encoder.goal_tokens + config.history * self.encoder.step_tokens)
+        self.head = config.head.build(width, config.chunk, len(spec.action_names))
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """The cameras it must see, those of the goal included."""
+        encoder = self.config.encoder
+        return tuple(dict.fromkeys((*encoder.observation_cameras, *encoder.goal_cameras)))
+
+    @property
+    def device(self) -> torch.device:
+        return next(self.parameters()).device
+
+    def forward(self, batch: Labelled, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
+        """Scalar training loss and its parts; all randomness (goal dropout, augmentation, noise) from `generator`."""
+        draws = torch.rand(len(batch.state), generator=generator, device=generator.device)
+        keep = (draws >= self.config.goal_dropout).to(batch.state.device)
+        return self._loss(batch, keep, generator, augment=generator)
+
+    def loss(self, batch: Labelled, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
+        """The same with every goal shown and no augmentation: what held-out play is judged by."""
+        keep = torch.ones(len(batch.state), dtype=torch.bool, device=batch.state.device)
+        return self._loss(batch, keep, generator, augment=None)
+
+    @torch.inference_mode()
+    def act(
+        self, inputs: Observed, generator: Generators, guidance: float | None = None, *, mode: bool = False
+    ) -> Tensor:
+        """(B, H, A) float32 on the CPU, in units of the environment, clipped to [-1, 1].
+
+        inputs: on any device. generator: one, or one a row, which makes a row independent of the others.
+        guidance: weight of the goal, None for the plain prediction (a weight of 1). mode: the head's mode
+        rather than a sample.
+        """
+        normal = self._normalised(inputs)
+        batch, weight = len(normal.state), 1.0 if guidance is None else guidance
+        shown = torch.full((batch,), weight != 0, device=self.device)
+        features = self._features(normal, shown, None)[0]
+        guide = None
+        if weight not in (0.0, 1.0):
+            guide = Guidance(self._features(normal, ~shown, None)[0], weight)
+        chunk = self.head.mode(features, guide) if mode else self.head.sample(features, generator, guide)
+        return self.normaliser.restore("action", chunk).clamp(-1, 1).float().cpu()
+
+    def check(self, spec: Named, cameras: Mapping[str, tuple[int, int]]) -> None:
+        """Refuse an environment it was not trained for. cameras: name -> (height, width) there.
+
+        Raises:
+            CheckpointError: names, fps or cameras differ; the message says which.
+        """
+        self.spec.check(spec, cameras, self.cameras)
+
+    def save(self, path: Path) -> None:
+        """Write `policy.json` and `policy.safetensors` into the folder, each atomically."""
+        path.mkdir(parents=True, exist_ok=True)
+        description = {"format": FORMAT, "config": to_dict(self.config), "spec": asdict(self.spec)}
+        atomic_write(path / DESCRIPTION, json.dumps(description, indent=2).encode())
+        atomic_write(path / WEIGHTS, save({name: value.contiguous() for name, value in self.state_dict().items()}))
+
+    @classmethod
+    def load(cls, path: Path, device: str | torch.device = "cpu") -> "Policy":
+        """The policy that `save` wrote there, ready to act.
+
+        Raises:
+            CheckpointError: files are missing, broken, or of another version.
+        """
+        for name in (DESCRIPTION, WEIGHTS):
+            if not (path / name).is_file():
+                raise CheckpointError(f"no policy at {path}: {name} is missing; `playlearn train` writes RUN/policy")
+        try:
+            description = json.loads((path / DESCRIPTION).read_text())
+            if description.get("format") != FORMAT:
+                raise CheckpointError(f"{path} is of format {description.get('format')}, this version reads {FORMAT}")
+            policy = from_dict(PolicyConfig, description["config"]).build(
+                spec_from_dict(description["spec"]), None, seed=0, fetch=False
+            )
+            policy.load_state_dict(load_file(path / WEIGHTS))
+        except PlaylearnError as error:
+            raise CheckpointError(f"the policy at {path} cannot be read: {error}") from error
+        except Exception as error:  # a torn file shows itself as any of a dozen types
+            raise CheckpointError(f"the policy at {path} cannot be read: {type(error).__name__}: {error}") from error
+        return policy.to(device).eval()
+
+    def _loss(
+        self, batch: Labelled, keep: Tensor, generator: torch.Generator, augment: torch.Generator | None
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        normal = self._normalised(batch)
+        features, extra = self._features(normal, keep, augment)
+        chunk = self.normaliser.normalise("action", batch.action)
+        loss, metrics = self.head.loss(features, chunk, batch.action_mask, generator)
+        metrics = {"head": loss, **metrics, **extra}
+        return sum(extra.values(), loss), {name: value.detach() for name, value in metrics.items()}
+
+    def _features(
+        self, inputs: Inputs, keep: Tensor, augment: torch.Generator | None
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """(B, D) and the encoder's weighted auxiliary losses."""
+        encoded = self.encoder(inputs, keep, augment)
+        tokens = torch.cat([encoded.goal, encoded.steps.flatten(1, 2)], dim=1)  # (B, N + T M, D)
+        mask = None
+        if inputs.history_mask.shape[1] > 1:
+            steps = inputs.history_mask.repeat_interleave(self.encoder.step_tokens, dim=1)
+            mask = torch.cat([steps.new_ones(len(steps), self.encoder.goal_tokens), steps], dim=1)
+        return self.trunk(tokens, mask), self.encoder.auxiliary(encoded, inputs)
+
+    def _normalised(self, inputs: Observed) -> Inputs:
+        """On this policy's device, numbers normalised, only the cameras it reads."""
+        encoder, device, normalise = self.config.encoder, self.device, self.normaliser.normalise
+        return Inputs(
+            state=normalise("state", inputs.state.to(device)),
+            achieved=normalise("achieved", inputs.achieved.to(device)),
+            history_mask=inputs.history_mask.to(device),
+            goal_achieved=normalise("achieved", inputs.goal_achieved.to(device)),
+            images={camera: inputs.images[camera].to(device) for camera in encoder.observation_cameras},
+            goal_images={camera: inputs.goal_images[camera].to(device) for camera in encoder.goal_cameras},
+        )
+
+
+def spec_from_dict(written: Mapping[str, Any]) -> PolicySpec:
+    """What `dataclasses.asdict` made of a PolicySpec and JSON gave back."""
+    return PolicySpec(
+        state_names=tuple(written["state_names"]),
+        achieved_names=tuple(written["achieved_names"]),
+        action_names=tuple(written["action_names"]),
+        fps=written["fps"],
+        cameras={camera: (size[0], size[1]) for camera, size in written["cameras"].items()},
+        controller=written["controller"],
+    )

@@ -1,0 +1,7 @@
+"""Trunks: what makes features of the goal's and the history's tokens, one file a kind."""
+
+from playlearn.policies.trunks.base import Trunk, TrunkConfig
+from playlearn.policies.trunks.mlp import MLPConfig
+from playlearn.policies.trunks.transformer import TransformerConfig
+
+__all__ = ["MLPConfig", "TransformerConfig", "Trunk", "TrunkConfig"]

@@ -1,0 +1,205 @@
+"""What relabelling knows of a store: lengths, and the settled moments read from `achieved` alone.
+
+One episode of T actions, in which the world was changed twice:
+
+    observation   0    1    2    3    4    5    6    7    8    9   10   11=T
+    action          0    1    2    3    4    5    6    7    8    9   10
+    the world     AAAAAAAA ~~~~~~~~~~ BBBBBBBBBBBBBB ~~~~~~~~~ CCCCCCCCCC
+    settled                           m=5                       m=9
+    hold ends           2                       7                     11
+    following(t)    5    5    5    5    5    9    9    9    9    -    -      t = 0 ... T-1
+
+A settled moment m is the first at which the world differs from the configuration before it by more
+than `change` in some dimension, and has moved less than `rest` in every dimension for `rest_seconds`.
+Its interval [m, end] lasts until the next change begins. A goal index g of a moment t lies in
+(t, T]: at least one action leads to it, and it never leaves its episode.
+
+Flat numbering: step t of episode e is `starts[e] + t` (0 <= t < T_e), observation o of episode e is
+row `rows[e] + o` (0 <= o <= T_e), and the settled moments of all episodes stand one after another.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from typing import Protocol, Self
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from playlearn.episode import Array
+from playlearn.errors import UsageError
+
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class SettlingConfig:
+    """When the world counts as changed, and when as at rest.
+
+    change: pattern of achieved names -> how far a dimension moves before it has changed (metres; for
+        `*.c` and `*.s`, the cosine and sine of an orientation, their own unit; lamps 0 or 1).
+    rest: pattern -> within what a dimension stays for the world to be at rest.
+    rest_seconds: for how long it must stay there.
+
+    `default` speaks of every name that no pattern matches; of several that match, the last counts.
+    """
+
+    change: dict[str, float] = field(default_factory=lambda: {"default": 0.015, "*.c": 0.15, "*.s": 0.15, "lamp*": 0.5})
+    rest: dict[str, float] = field(default_factory=lambda: {"default": 0.004, "*.c": 0.05, "*.s": 0.05, "lamp*": 0.5})
+    rest_seconds: float = 0.3
+
+
+class Recordings(Protocol):
+    """What the table reads of a store."""
+
+    def __len__(self) -> int: ...
+    def array(self, i: int, key: str) -> Array: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """N episodes, M settled moments in all, G achieved dimensions.
+
+    lengths (N,): T of each episode. starts (N+1,), rows (N+1,): flat numbering, see the drawing.
+    offsets (N+1,): episode e has the settled moments offsets[e] ... offsets[e+1]-1.
+    moments (M,), ends (M,): the observation at which each is settled, and the last it holds to.
+    changed (M, G) bool: the dimensions that differ from the configuration before it.
+    next_moment (sum T,): the first settled moment (flat) later than each step; offsets[e+1] where none is.
+    """
+
+    fps: float
+    names: tuple[str, ...]
+    lengths: Indices
+    starts: Indices
+    rows: Indices
+    offsets: Indices
+    moments: Indices
+    ends: Indices
+    changed: NDArray[np.bool_]
+    next_moment: Indices
+
+    @classmethod
+    def build(cls, achieved: Sequence[Array], names: Sequence[str], fps: float, settling: SettlingConfig) -> Self:
+        """Read the settled moments of each episode's achieved (T+1, G).
+
+        Raises:
+            UsageError: a threshold is missing or not positive.
+        """
+        change, rest = thresholds(settling.change, names, "change"), thresholds(settling.rest, names, "rest")
+        window = max(1, round(settling.rest_seconds * fps))
+        lengths = np.array([len(rows) - 1 for rows in achieved], np.int64)
+        found = [_settled(np.asarray(rows), change, rest, window) for rows in achieved]
+        counts = np.array([len(moments) for moments, _, _ in found], np.int64)
+        offsets = _running(counts)
+        after = [
+            offset + np.searchsorted(moments, np.arange(length), side="right")
+            for (moments, _, _), offset, length in zip(found, offsets[:-1], lengths, strict=True)
+        ]
+        return cls(
+            fps=fps,
+            names=tuple(names),
+            lengths=lengths,
+            starts=_running(lengths),
+            rows=_running(lengths + 1),
+            offsets=offsets,
+            moments=np.concatenate([np.zeros(0, np.int64), *(moments for moments, _, _ in found)]),
+            ends=np.concatenate([np.zeros(0, np.int64), *(ends for _, ends, _ in found)]),
+            changed=np.concatenate([np.zeros((0, len(names)), np.bool_), *(changed for _, _, changed in found)]),
+            next_moment=np.concatenate([np.zeros(0, np.int64), *after]).astype(np.int64),
+        )
+
+    @classmethod
+    def of_store(cls, store: Recordings, names: Sequence[str], fps: float, settling: SettlingConfig) -> Self:
+        """The table of every episode of a store."""
+        return cls.build([store.array(i, "achieved") for i in range(len(store))], names, fps, settling)
+
+    def following(self, episodes: Indices, t: Indices) -> Indices:
+        """(n,) the first settled moment (flat) later than t; `offsets[episodes + 1]` where none is."""
+        following: Indices = self.next_moment[self.starts[episodes] + t]
+        return following
+
+    def valid(self, episode: int) -> NDArray[np.bool_]:
+        """(T,) whether some settled moment of this episode is later than t."""
+        valid: NDArray[np.bool_] = self._next(episode) < self.offsets[episode + 1]
+        return valid
+
+    def settled(self, episode: int) -> tuple[Indices, Indices]:
+        """(m,), (m,): the settled moments of one episode, and the last observation each holds to."""
+        own = slice(self.offsets[episode], self.offsets[episode + 1])
+        return self.moments[own], self.ends[own]
+
+    def changes(self, episode: int) -> NDArray[np.bool_]:
+        """(T, G) what differs between the settled configurations before and after t; all False past the last."""
+        padded = np.concatenate([self.changed, np.zeros((1, len(self.names)), np.bool_)])
+        changes: NDArray[np.bool_] = padded[np.where(self.valid(episode), self._next(episode), -1)]
+        return changes
+
+    def groups(self) -> tuple[str, ...]:
+        """What the achieved dimensions belong to: the names before the dot, in order."""
+        return tuple(dict.fromkeys(name.split(".")[0] for name in self.names))
+
+    def changed_groups(self) -> NDArray[np.bool_]:
+        """(M, groups) which group changed at each settled moment."""
+        owners = np.array([name.split(".")[0] for name in self.names])
+        columns = [self.changed[:, owners == group].any(axis=1) for group in self.groups()]
+        return np.stack(columns, axis=1) if columns else np.zeros((len(self.changed), 0), np.bool_)
+
+    def change_counts(self) -> dict[str, int]:
+        """How often each group changed: what there is to learn from."""
+        return dict(zip(self.groups(), self.changed_groups().sum(axis=0).tolist(), strict=True))
+
+    def _next(self, episode: int) -> Indices:
+        return self.next_moment[self.starts[episode] : self.starts[episode + 1]]
+
+
+def thresholds(patterns: Mapping[str, float], names: Sequence[str], what: str) -> NDArray[np.float64]:
+    """(G,) the threshold of each name.
+
+    Raises:
+        UsageError: a name has none, or one is not positive.
+    """
+    values = []
+    for name in names:
+        matching = [value for pattern, value in patterns.items() if pattern != "default" and fnmatchcase(name, pattern)]
+        value = matching[-1] if matching else patterns.get("default")
+        if value is None or not value > 0:
+            raise UsageError(f"settling.{what}: {name} needs a threshold above 0, got {value}; add one, or `default`")
+        values.append(value)
+    return np.array(values, np.float64)
+
+
+def _settled(achieved: Array, change: Array, rest: Array, window: int) -> tuple[Indices, Indices, NDArray[np.bool_]]:
+    """The settled moments (m,), their ends (m,) and what changed (m, G) of one episode's (T+1, G)."""
+    resting = _resting(achieved, rest, window)
+    moments, ends, changed = [], [], []
+    before, at = achieved[0], 0
+    while True:
+        differs = np.abs(achieved[at:] - before) > change  # (rest of the episode, G)
+        ready = resting[at:] & differs.any(axis=1)
+        if not ready.any():
+            break
+        at += int(ready.argmax())
+        leaves = (np.abs(achieved[at:] - achieved[at]) > rest).any(axis=1)
+        moments.append(at)
+        ends.append(at + int(leaves.argmax()) - 1 if leaves.any() else len(achieved) - 1)
+        changed.append(np.abs(achieved[at] - before) > change)
+        before = achieved[at]
+    return (
+        np.array(moments, np.int64),
+        np.array(ends, np.int64),
+        np.array(changed, np.bool_).reshape(len(changed), achieved.shape[1]),
+    )
+
+
+def _resting(achieved: Array, rest: Array, window: int) -> NDArray[np.bool_]:
+    """(T+1,) whether every dimension stayed within `rest` over the last `window` steps."""
+    resting = np.zeros(len(achieved), np.bool_)
+    if len(achieved) > window:
+        recent = sliding_window_view(achieved, window + 1, axis=0)  # (T+1-window, G, window+1)
+        resting[window:] = (recent.max(axis=2) - recent.min(axis=2) < rest).all(axis=1)
+    return resting
+
+
+def _running(counts: Indices) -> Indices:
+    return np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)]).astype(np.int64)

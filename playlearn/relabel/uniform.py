@@ -1,0 +1,35 @@
+"""Any later moment within a horizon, all equally likely."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from playlearn.relabel.base import GoalSampler, GoalSamplerConfig, later, pick, positive
+from playlearn.relabel.table import Indices, Table
+
+
+@GoalSamplerConfig.register_subclass("uniform")
+@dataclass(frozen=True)
+class UniformConfig(GoalSamplerConfig):
+    """horizon: how many seconds ahead the goal lies at most; the end of the episode where that is nearer."""
+
+    horizon: float = 5.0
+
+    def build(self) -> GoalSampler:
+        positive("uniform.horizon", self.horizon)
+        return Uniform(self.horizon)
+
+
+class Uniform:
+    """HER's strategy "future" (Andrychowicz et al., 2017), within a horizon."""
+
+    def __init__(self, horizon: float) -> None:
+        self._horizon = horizon
+
+    def valid(self, table: Table, episodes: Indices, t: Indices) -> NDArray[np.bool_]:
+        return later(table, episodes, t)
+
+    def draw(self, table: Table, episodes: Indices, t: Indices, uniforms: NDArray[np.float64]) -> Indices:
+        furthest = np.minimum(t + max(1, round(self._horizon * table.fps)), table.lengths[episodes])
+        return pick(uniforms[:, 0], t + 1, furthest)

@@ -1,0 +1,103 @@
+"""An evaluation as one self-contained page: numbers, curves, pictures, films; nothing is fetched."""
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+import jinja2
+
+from playlearn.report.pictures import Pictures
+
+WIDTH, HEIGHT = 960, 260  # of the plot, in its own units
+LEFT, RIGHT, TOP, BOTTOM = 44, 12, 12, 36
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """One attempt with its pictures."""
+
+    episode: int
+    task: str
+    success: bool
+    reason: str
+    steps: int
+    pictures: Pictures
+
+
+def page(
+    results: Mapping[str, Any], curves: Mapping[str, Sequence[float]], fps: float, shown: Sequence[Shown], note: str
+) -> str:
+    """The page as HTML.
+
+    results: what results.json says. curves: policy -> share of episodes reached by step 0, 1, ...;
+    the judged policy first. note: said where there are no pictures.
+    """
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
+    environment.filters |= {"percent": _percent, "width": lambda share: f"{100 * share:.2f}%", "data": _data_uri}
+    template = environment.from_string(resources.files("playlearn.report").joinpath("page.html.j2").read_text("utf-8"))
+    rows = {results["policy"]["name"]: results, **results["references"]}
+    return template.render(
+        results=results,
+        rows=rows,
+        plot=_plot(curves, fps),
+        successes=[item for item in shown if item.success],
+        failures=[item for item in shown if not item.success],
+        films=[item for item in shown if item.pictures.film is not None],
+        note=note,
+        fps=fps,
+    )
+
+
+def _percent(share: float) -> str:
+    """As exact as a count out of a few hundred deserves: one decimal, none where it is zero."""
+    return f"{100 * share:.1f}".removesuffix(".0") + " %"
+
+
+def _data_uri(webp: bytes) -> str:
+    return "data:image/webp;base64," + base64.b64encode(webp).decode()
+
+
+@dataclass(frozen=True)
+class _Plot:
+    """A plot in SVG units. lines: (policy, polyline points, its end's y). ticks: (position, label)."""
+
+    width: int
+    height: int
+    left: int
+    right: int
+    top: int
+    bottom: int
+    lines: list[tuple[str, str, float]]
+    x_ticks: list[tuple[float, str]]
+    y_ticks: list[tuple[float, str]]
+
+
+def _plot(curves: Mapping[str, Sequence[float]], fps: float) -> _Plot:
+    """Share of the episodes reached against seconds."""
+    steps = max(1, max(len(curve) for curve in curves.values()) - 1)
+    right, bottom = WIDTH - RIGHT, HEIGHT - BOTTOM
+
+    def x(step: float) -> float:
+        return LEFT + (right - LEFT) * step / steps
+
+    def y(share: float) -> float:
+        return bottom - (bottom - TOP) * share
+
+    seconds = steps / fps
+    gap = next((gap for gap in (0.5, 1, 2, 5, 10, 20, 60) if seconds / gap <= 8), 120)
+    return _Plot(
+        width=WIDTH,
+        height=HEIGHT,
+        left=LEFT,
+        right=right,
+        top=TOP,
+        bottom=bottom,
+        lines=[
+            (name, " ".join(f"{x(t):.1f},{y(share):.1f}" for t, share in enumerate(curve)), y(curve[-1]))
+            for name, curve in curves.items()
+        ],
+        x_ticks=[(x(k * gap * fps), f"{k * gap:g}") for k in range(int(seconds / gap + 1e-9) + 1)],
+        y_ticks=[(y(share), f"{100 * share:.0f}") for share in (0, 0.25, 0.5, 0.75, 1)],
+    )

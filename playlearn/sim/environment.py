@@ -1,0 +1,109 @@
+"""What every simulated world offers; rollouts, evaluation and collection know nothing else of it."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol, Self
+
+import draccus
+import numpy as np
+
+from playlearn.episode import Array, Observation
+
+
+@dataclass(frozen=True)
+class CameraConfig:
+    """Size of the recorded images, in pixels."""
+
+    height: int = 64
+    width: int = 64
+
+
+@dataclass(frozen=True)
+class Task:
+    """A named task: where it starts, what to ask an expert for, and how to judge the outcome.
+
+    precondition: (achieved) -> bool, whether a start state suits the task.
+    arrange: (environment, rng) -> None, brings a freshly reset environment into such a state.
+    command: (achieved, rng) -> (G,), the goal state an expert is asked to reach from there.
+    judge: (start, achieved, goal) -> bool, what the task is about, and nothing else.
+    """
+
+    name: str
+    precondition: Callable[[Array], bool]
+    arrange: Callable[[Any, np.random.Generator], None]
+    command: Callable[[Array, np.random.Generator], Array]
+    judge: Callable[[Array, Array, Array], bool]
+
+
+@dataclass(frozen=True)
+class EnvironmentSpec:
+    """What an environment's numbers mean. fps: control steps a second."""
+
+    state_names: tuple[str, ...]
+    achieved_names: tuple[str, ...]
+    action_names: tuple[str, ...]
+    cameras: tuple[str, ...]
+    fps: float
+    controller: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class EnvironmentConfig(draccus.ChoiceRegistry):
+    """The base of every environment's config; `type:` in a YAML picks the kind."""
+
+    def build(self) -> "Environment":
+        raise NotImplementedError
+
+
+class Environment(Protocol):
+    """One simulated world. Not thread-safe; one process may hold many.
+
+    `config` builds it again; `spec` names its indices; `tasks` are the named tasks it can judge.
+    """
+
+    config: EnvironmentConfig
+    spec: EnvironmentSpec
+    tasks: Mapping[str, Task]
+
+    def reset(self, seed: int) -> None:
+        """Draw a random, collision-free start state; the same seed gives the same one."""
+        ...
+
+    def clone(self) -> Self:
+        """A second world over the same model and renderer, in the same state (cheap)."""
+        ...
+
+    def sim_state(self) -> Array:
+        """(N,) float64: everything that `set_state` needs to go on exactly as this world would."""
+        ...
+
+    def set_state(self, sim_state: Array) -> None: ...
+
+    def step(self, action: Array) -> None:
+        """Execute (A,) in [-1, 1] for one control period.
+
+        Raises:
+            ActionError: not finite, wrong shape or out of range (the world is left untouched).
+            SimulationDiverged: physics broke; the world is unusable until reset or set_state.
+        """
+        ...
+
+    def observe(self, cameras: Sequence[str] = ()) -> Observation: ...
+
+    def failure(self) -> str | None:
+        """Why this episode cannot go on (a block fell off the table), else None."""
+        ...
+
+    def reached(self, achieved: Array, goal: Array) -> bool:
+        """Whether everything is where the goal shows it, within the environment's tolerances."""
+        ...
+
+    def render(self, camera: str, height: int | None = None, width: int | None = None) -> Array:
+        """(h, w, 3) uint8, upright; by default in the size that the config names."""
+        ...
+
+    def renderer(self) -> str:
+        """GL back end and device, for the record."""
+        ...
+
+    def close(self) -> None: ...

@@ -1,0 +1,317 @@
+"""Any robosuite scene with one arm, stepped by compiled control and drawn by simplified meshes.
+
+The scene, the robot, the controller's gains and the gripper come from robosuite itself; only the
+loop around MuJoCo is ours, because robosuite spends most of a control step in Python.
+"""
+
+import contextlib
+import copy
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, Self
+
+import mujoco
+import numpy as np
+
+from playlearn.episode import Array, Observation
+from playlearn.errors import ActionError, SimulationDiverged, UsageError
+from playlearn.sim.environment import CameraConfig, EnvironmentSpec
+from playlearn.sim.osc import osc_torques, rotation_error
+from playlearn.sim.render import Renderer
+
+STATE_NAMES = (
+    *("eef.x", "eef.y", "eef.z"),
+    *("eef.r00", "eef.r10", "eef.r20", "eef.r01", "eef.r11", "eef.r21"),
+    "gripper.opening",
+)
+ACTION_NAMES = ("dx", "dy", "dz", "droll", "dpitch", "dyaw", "gripper")
+_SAVED = int(mujoco.mjtState.mjSTATE_FULLPHYSICS | mujoco.mjtState.mjSTATE_WARMSTART | mujoco.mjtState.mjSTATE_CTRL)
+_DRAWS = 20
+_FATAL = (
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+    mujoco.mjtWarning.mjWARN_BADCTRL,
+)
+
+
+class RobosuiteWorld:
+    """The part of `Environment` that is the same for every robosuite task with one arm.
+
+    build: makes the robosuite environment (without renderer or observations).
+    achieved_names: what the subclass's `achieved` returns. extra: how many numbers beside MuJoCo's
+    state the subclass keeps (`self.extra`; a lamp, a latch); they are saved, restored and painted.
+
+    A subclass offers `_achieved`, `_arrange`, `failure`, `reached`, and may override `_after_step`.
+    """
+
+    def __init__(
+        self,
+        build: Callable[[], Any],
+        achieved_names: Sequence[str],
+        cameras: Mapping[str, CameraConfig],
+        faces: int,
+        extra: int,
+        paint: Callable[[mujoco.MjModel, Array], None],
+    ) -> None:
+        with _quiet():
+            robosuite_env = build()
+            robosuite_env.reset()
+        robot = robosuite_env.robots[0]
+        arm = robot.part_controllers["right"]
+        self._xml = robosuite_env.model.get_xml()
+        self.model = mujoco.MjModel.from_xml_string(self._xml)
+        self.model.opt.timestep = robosuite_env.sim.model.opt.timestep
+        self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        self.data = mujoco.MjData(self.model)
+        self._home = robosuite_env.sim.data.qpos.copy()
+        self._substeps = round(robosuite_env.control_timestep / self.model.opt.timestep)
+        self._site = int(robot.eef_site_id["right"])
+        self._base = self._site_id(f"{arm.naming_prefix}{arm.part_name}_center")
+        self._arm_qpos = np.asarray(arm.qpos_index, np.int64)
+        self._arm_qvel = np.asarray(arm.qvel_index, np.int64)
+        self._arm_ctrl = np.asarray(robot._ref_arm_joint_actuator_indexes, np.int64)
+        self._torque_range = self.model.actuator_ctrlrange[self._arm_ctrl].copy()
+        self._rest = np.asarray(robot.init_qpos, float)[: len(self._arm_qpos)]
+        self._kp, self._kd = np.asarray(arm.kp, float), np.asarray(arm.kd, float)
+        self._scale = (np.asarray(arm.output_max) - np.asarray(arm.output_min)) / 2
+        self._gripper_model = robot.gripper["right"]
+        self._gripper_ctrl = np.asarray(robot._ref_joint_gripper_actuator_indexes["right"], np.int64)
+        limits = self.model.actuator_ctrlrange[self._gripper_ctrl]
+        self._gripper_centre, self._gripper_half = limits.mean(1), (limits[:, 1] - limits[:, 0]) / 2
+        fingers = self._gripper_model.important_geoms
+        self._fingers = (self._geom_id(fingers["left_fingerpad"][0]), self._geom_id(fingers["right_fingerpad"][0]))
+        self._gripper = np.zeros(len(self._gripper_ctrl))
+        self._jacobian = np.zeros((6, self.model.nv))
+        self._mass = np.zeros((self.model.nv, self.model.nv))
+        self._position, self._rotation = np.zeros(3), np.eye(3)
+        self.extra = np.zeros(extra)
+        self._cameras = dict(cameras)
+        self._draw = _Drawing(self._xml, faces, paint)
+        self.spec = EnvironmentSpec(
+            state_names=STATE_NAMES,
+            achieved_names=tuple(achieved_names),
+            action_names=ACTION_NAMES,
+            cameras=tuple(cameras),
+            fps=float(robosuite_env.control_freq),
+            controller={
+                "type": "OSC_POSE",
+                "kp": self._kp.tolist(),
+                "kd": self._kd.tolist(),
+                "output_max": (self._scale).tolist(),
+            },
+        )
+        unknown = [name for name in cameras if mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_CAMERA, name) < 0]
+        if unknown:
+            known = [self.model.camera(i).name for i in range(self.model.ncam)]
+            raise UsageError(f"the scene has no camera {unknown[0]!r}; it has {', '.join(known)}")
+
+    # What a subclass says of its task -------------------------------------------------------------
+
+    def _achieved(self) -> Array:
+        raise NotImplementedError
+
+    def _arrange(self, rng: np.random.Generator) -> None:
+        """Place objects at random in `self.data`, free of collisions."""
+        raise NotImplementedError
+
+    def _after_step(self) -> None:
+        """What physics does not do by itself: toggle a lamp."""
+
+    # The Environment ------------------------------------------------------------------------------
+
+    def clone(self) -> Self:
+        twin = copy.copy(self)
+        twin.data = mujoco.MjData(self.model)
+        for name in ("_gripper", "extra", "_jacobian", "_mass", "_position", "_rotation"):
+            setattr(twin, name, getattr(self, name).copy())
+        twin.set_state(self.sim_state())
+        return twin
+
+    def reset(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        for _ in range(_DRAWS):
+            with contextlib.suppress(SimulationDiverged):
+                self._begin(rng)
+                return
+        raise SimulationDiverged(f"no sound start state in {_DRAWS} draws from seed {seed}")
+
+    def _begin(self, rng: np.random.Generator) -> None:
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:] = self._home
+        self._gripper[:] = 0.0
+        self.extra[:] = 0.0
+        self.data.qpos[self._arm_qpos] = self._rest + rng.normal(0.0, 0.02, len(self._rest))
+        self._arrange(rng)
+        self.settle()
+
+    def settle(self, steps: int = 6) -> None:
+        """Let everything come to rest under a still arm with its gripper opening; time starts at 0."""
+        still = np.zeros(len(ACTION_NAMES))
+        still[-1] = -1.0
+        for _ in range(steps):
+            self.step(still)
+        self.data.qvel[:] = 0.0
+        self.data.time = 0.0
+
+    def sim_state(self) -> Array:
+        size = mujoco.mj_stateSize(self.model, _SAVED)
+        state = np.empty(size + len(self._gripper) + len(self.extra))
+        mujoco.mj_getState(self.model, self.data, state[:size], _SAVED)
+        state[size:] = np.concatenate([self._gripper, self.extra])
+        return state
+
+    def set_state(self, sim_state: Array) -> None:
+        size = mujoco.mj_stateSize(self.model, _SAVED)
+        expected = size + len(self._gripper) + len(self.extra)
+        if sim_state.shape != (expected,):
+            raise UsageError(f"a simulator state of {sim_state.shape} does not fit this scene, which has ({expected},)")
+        mujoco.mj_resetData(self.model, self.data)  # what an aborted step may have left behind
+        mujoco.mj_setState(self.model, self.data, np.ascontiguousarray(sim_state[:size]), _SAVED)
+        self._gripper[:] = sim_state[size : size + len(self._gripper)]
+        self.extra[:] = sim_state[size + len(self._gripper) :]
+        self._refresh()
+
+    def step(self, action: Array) -> None:
+        action = self._checked(action)
+        model, data = self.model, self.data
+        before = data.time
+        self._gripper_model.current_action = self._gripper
+        self._gripper = np.asarray(self._gripper_model.format_action(action[6:]), float)
+        try:
+            for substep in range(self._substeps):
+                mujoco.mj_step1(model, data)
+                if substep == 0:
+                    self._set_goal(action)
+                data.ctrl[self._arm_ctrl] = self._torques()
+                data.ctrl[self._gripper_ctrl] = self._gripper_centre + self._gripper_half * self._gripper
+                mujoco.mj_step2(model, data)
+        except (mujoco.FatalError, np.linalg.LinAlgError) as error:  # no contacts it can solve, or no inertia
+            raise SimulationDiverged(f"the simulation gave up at {before:.2f} s: {error}") from error
+        self._check_physics(before)
+        self._refresh()
+        self._after_step()
+
+    def observe(self, cameras: Sequence[str] = ()) -> Observation:
+        rotation = self.data.site_xmat[self._site].reshape(3, 3)
+        state = np.empty(len(STATE_NAMES), np.float32)
+        state[:3] = self.data.site_xpos[self._site]
+        state[3:9] = rotation[:, :2].T.ravel()
+        state[9] = self._opening()
+        images = {name: self.render(name) for name in cameras}
+        return Observation(state, self._achieved().astype(np.float32), images, float(self.data.time))
+
+    def render(self, camera: str, height: int | None = None, width: int | None = None) -> Array:
+        size = self._cameras.get(camera, CameraConfig())
+        return self._draw(self.data.qpos, self.extra, camera, height or size.height, width or size.width)
+
+    def renderer(self) -> str:
+        return self._draw.backend()
+
+    def close(self) -> None:
+        """Nothing to give back: the GL context belongs to the process."""
+
+    # Inside ---------------------------------------------------------------------------------------
+
+    def _checked(self, action: Array) -> Array:
+        action = np.asarray(action, float)
+        if action.shape != (len(ACTION_NAMES),):
+            raise ActionError(f"an action must have shape ({len(ACTION_NAMES)},), got {action.shape}")
+        if not np.isfinite(action).all():
+            raise ActionError(f"the action is not finite: {dict(zip(ACTION_NAMES, action.tolist(), strict=True))}")
+        if np.abs(action).max() > 1 + 1e-6:
+            raise ActionError(f"actions lie in [-1, 1], got {action.round(3).tolist()}")
+        return action.clip(-1, 1)
+
+    def _set_goal(self, action: Array) -> None:
+        """Position and rotation to hold for this control period: the present pose, moved in the base's frame."""
+        base = self.data.site_xmat[self._base].reshape(3, 3)
+        delta = action[:6] * self._scale
+        turn = np.empty(9)
+        quaternion = np.array([1.0, 0.0, 0.0, 0.0])
+        angle = float(np.linalg.norm(delta[3:]))
+        if angle > 0:
+            mujoco.mju_axisAngle2Quat(quaternion, delta[3:] / angle, angle)
+        mujoco.mju_quat2Mat(turn, quaternion)
+        present = self.data.site_xmat[self._site].reshape(3, 3)
+        self._position = self.data.site_xpos[self._site] + base @ delta[:3]
+        self._rotation = base @ turn.reshape(3, 3) @ base.T @ present
+
+    def _torques(self) -> Array:
+        model, data = self.model, self.data
+        mujoco.mj_jacSite(model, data, self._jacobian[:3], self._jacobian[3:], self._site)
+        mujoco.mj_fullM(model, self._mass, data.qM)
+        torques = osc_torques(
+            self._mass[np.ix_(self._arm_qvel, self._arm_qvel)],
+            np.ascontiguousarray(self._jacobian[:, self._arm_qvel]),
+            data.qfrc_bias[self._arm_qvel],
+            self._position - data.site_xpos[self._site],
+            rotation_error(self._rotation, data.site_xmat[self._site].reshape(3, 3)),
+            self._kp,
+            self._kd,
+            data.qpos[self._arm_qpos],
+            data.qvel[self._arm_qvel],
+            self._rest,
+        )
+        return np.clip(torques, self._torque_range[:, 0], self._torque_range[:, 1])
+
+    def _check_physics(self, before: float) -> None:
+        data = self.data
+        fired = [warning.name for warning in _FATAL if data.warning[warning].number]
+        if fired or data.time <= before or not np.isfinite(data.qpos).all() or not np.isfinite(data.qvel).all():
+            data.warning.number[:] = 0
+            raise SimulationDiverged(
+                f"the simulation diverged at {before:.2f} s ({', '.join(fired) or 'not finite or time went back'}); "
+                "the episode ends before it"
+            )
+
+    def _refresh(self) -> None:
+        """Bring positions in line with qpos, which integration left one substep behind."""
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+
+    def _opening(self) -> float:
+        """Distance between the finger pads' surfaces in metres."""
+        return self._pad_gap() - self._finger_gap_closed()
+
+    def _pad_gap(self) -> float:
+        left, right = (self.data.geom_xpos[geom] for geom in self._fingers)
+        return float(np.linalg.norm(left - right))
+
+    def _finger_gap_closed(self) -> float:
+        return float(sum(self.model.geom_size[geom].min() for geom in self._fingers))
+
+    def _site_id(self, name: str) -> int:
+        return int(self.model.site(name).id)
+
+    def _geom_id(self, name: str) -> int:
+        return int(self.model.geom(name).id)
+
+
+class _Drawing:
+    """The renderer, made at the first image, shared by all clones."""
+
+    def __init__(self, xml: str, faces: int, paint: Callable[[mujoco.MjModel, Array], None]) -> None:
+        self._parts = (xml, faces, paint)
+        self._renderer: Renderer | None = None
+
+    def __call__(self, qpos: Array, extra: Array, camera: str, height: int, width: int) -> Array:
+        renderer = self._ready()
+        renderer.set_state(qpos, extra)
+        return renderer.draw(camera, height, width)
+
+    def backend(self) -> str:
+        return self._ready().backend()
+
+    def _ready(self) -> Renderer:
+        if self._renderer is None:
+            self._renderer = Renderer(*self._parts)
+        return self._renderer
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """robosuite without its warnings about its own syntax and dependencies."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield

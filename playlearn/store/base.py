@@ -1,0 +1,174 @@
+"""What every store of episodes offers to those who read it, whatever it looks like on disk."""
+
+import dataclasses
+import json
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol, Self
+
+import draccus
+import numpy as np
+from numpy.typing import NDArray
+
+from playlearn.episode import IMAGES, Array, Episode, EpisodeMeta
+from playlearn.errors import StoreError
+
+
+@dataclass(frozen=True)
+class StoreConfig(draccus.ChoiceRegistry):
+    """The base of every store's config; `type:` in a YAML picks the kind."""
+
+    def build(self) -> "Store":
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class StoreSpec:
+    """What all episodes of one store have in common.
+
+    environment: the environment's full config. *_names: what each index means. fps: steps a second.
+    cameras: name -> (height, width) of the recorded images; empty where only states were recorded.
+    """
+
+    environment: Mapping[str, Any]
+    state_names: tuple[str, ...]
+    achieved_names: tuple[str, ...]
+    action_names: tuple[str, ...]
+    fps: float
+    cameras: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, episode: Episode) -> Self:
+        """The spec of a store that this episode fits into."""
+        return cls.of_shapes(episode.meta, {key: value.shape for key, value in episode.arrays().items()})
+
+    @classmethod
+    def of_shapes(cls, meta: EpisodeMeta, shapes: Mapping[str, tuple[int, ...]]) -> Self:
+        """The same from an episode's metadata and the shapes of its arrays."""
+        cameras = {
+            key.removeprefix(IMAGES): (shape[1], shape[2]) for key, shape in shapes.items() if key.startswith(IMAGES)
+        }
+        return cls(meta.environment, meta.state_names, meta.achieved_names, meta.action_names, meta.fps, cameras)
+
+    def check(self, other: "StoreSpec") -> None:
+        """Raises StoreError naming the first thing in which an episode's spec differs from its store's."""
+        for entry in dataclasses.fields(self):
+            mine, its = plain(getattr(self, entry.name)), plain(getattr(other, entry.name))
+            if mine != its:
+                raise StoreError(
+                    f"an episode whose {entry.name} differs from the store's: {its} is not {mine}; "
+                    "put it into a store of its own"
+                )
+
+
+class Store(Protocol):
+    """Episodes at rest, read side. Episode i is the i-th by position, 0 <= i < len(store)."""
+
+    spec: StoreSpec
+
+    def __len__(self) -> int: ...
+
+    def name(self) -> str:
+        """What to call this store in a message: its path."""
+        ...
+
+    def indices(self) -> NDArray[np.int64]:
+        """(N,) the number each episode was recorded under: stays with it when others come or go."""
+        ...
+
+    def lengths(self) -> NDArray[np.int64]:
+        """(N,) T of each episode."""
+        ...
+
+    def cameras(self) -> dict[str, tuple[int, int]]:
+        """Camera -> (height, width)."""
+        ...
+
+    def meta(self, i: int) -> EpisodeMeta: ...
+
+    def read(self, i: int) -> Episode:
+        """Episode i, whole and checked; its arrays are views where the store can map them."""
+        ...
+
+    def array(self, i: int, key: str) -> Array:
+        """One array of episode i under its stored name (`achieved`, `observation.images.front`), read-only."""
+        ...
+
+    def verify(self) -> list[str]:
+        """One line for each thing that is wrong; reads everything. Empty: the store is whole."""
+        ...
+
+    def info(self) -> dict[str, Any]:
+        """What is in it, as JSON."""
+        ...
+
+
+def with_images(episode: Episode, images: Mapping[str, Array], renderer: str) -> Episode:
+    """The same episode with other images, camera -> (T+1, h, w, 3) uint8, drawn by `renderer`."""
+    cameras = {camera: {"height": frames.shape[1], "width": frames.shape[2]} for camera, frames in images.items()}
+    meta = dataclasses.replace(episode.meta, cameras=cameras, renderer=renderer)
+    return dataclasses.replace(episode, meta=meta, images=dict(images))
+
+
+def plain(value: Any) -> Any:
+    """The value as JSON would give it back: mappings are dicts, tuples are lists."""
+    return json.loads(json.dumps(value, default=dict, sort_keys=True))
+
+
+def to_json(record: Any) -> str:
+    """A frozen dataclass of JSON-able fields, as text."""
+    return json.dumps({entry.name: getattr(record, entry.name) for entry in dataclasses.fields(record)}, default=dict)
+
+
+def from_json[T](cls: type[T], text: str) -> T:
+    """What `to_json` wrote. Raises StoreError where a field is unknown or missing."""
+    hints = typing.get_type_hints(cls)
+    values = json.loads(text)
+    unknown = sorted(set(values) - set(hints))
+    if unknown:
+        raise StoreError(f"{cls.__name__} with unknown {', '.join(unknown)}: written by a newer playlearn; update it")
+    tuples = {name for name, hint in hints.items() if typing.get_origin(hint) is tuple}
+    try:
+        return cls(**{name: tuple(value) if name in tuples else value for name, value in values.items()})
+    except TypeError as error:
+        raise StoreError(f"{cls.__name__} is incomplete: {error}") from error
+
+
+def summary(store: Store) -> dict[str, Any]:
+    """What can be told of any store without reading its images."""
+    lengths = store.lengths()
+    metas = [store.meta(i) for i in range(len(store))]
+    skills: dict[str, int] = {}
+    for i, meta in enumerate(metas):
+        skill = store.array(i, "skill")
+        begins = np.flatnonzero(np.diff(skill, prepend=-1))
+        for number in skill[begins]:
+            name = meta.skills[number] if meta.skills else ""
+            skills[name] = skills.get(name, 0) + 1
+    return {
+        "episodes": len(store),
+        "steps": int(lengths.sum()),
+        "seconds": float(lengths.sum() / store.spec.fps),
+        "fps": store.spec.fps,
+        "environment": plain(store.spec.environment),
+        "state": list(store.spec.state_names),
+        "achieved": list(store.spec.achieved_names),
+        "action": list(store.spec.action_names),
+        "cameras": {camera: {"height": h, "width": w} for camera, (h, w) in store.cameras().items()},
+        "skills": {name: count for name, count in sorted(skills.items()) if name},
+        "actors": _count(meta.actor for meta in metas),
+        "ended": _count(meta.ended for meta in metas),
+        "versions": {
+            package: sorted({meta.versions[package] for meta in metas if package in meta.versions})
+            for package in sorted({package for meta in metas for package in meta.versions})
+        },
+        "renderers": _count(meta.renderer for meta in metas if meta.renderer),
+    }
+
+
+def _count(values: typing.Iterable[str]) -> dict[str, int]:
+    counts: dict[str, int] = {}
+    for value in values:
+        counts[value] = counts.get(value, 0) + 1
+    return dict(sorted(counts.items()))

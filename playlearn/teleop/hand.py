@@ -1,0 +1,65 @@
+"""What a teleoperator sees and commands: the gripper's pose, and motions of it as actions.
+
+The gripper points down. Its yaw is the direction of the finger axis (along which it opens): pi / 2 at
+rest, kept within (0, pi] because a finger axis and its opposite are the same grasp.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from playlearn.episode import Array, Observation
+
+REST_YAW = np.pi / 2
+STEP = 0.05  # metres that an action of 1 asks for
+TURN = 0.5  # radians that an action of 1 asks for
+OPEN, CLOSE = -1.0, 1.0
+
+
+@dataclass(frozen=True)
+class Style:
+    """How somebody drives: speed in (0, 1], height m above things when approaching and when carrying."""
+
+    speed: float = 1.0
+    approach: float = 0.07
+    carry: float = 0.09
+
+
+@dataclass(frozen=True, eq=False)
+class Hand:
+    """position (3,) m, rotation (3, 3), opening m between the finger pads."""
+
+    position: Array
+    rotation: Array
+    opening: float
+
+    @classmethod
+    def seen(cls, observation: Observation) -> "Hand":
+        """From `observation.state` as `playlearn.sim.robosuite_world` lays it out."""
+        state = observation.state.astype(float)
+        first, second = state[3:6], state[6:9]
+        return cls(state[:3], np.stack([first, second, np.cross(first, second)], axis=1), float(state[9]))
+
+    @property
+    def yaw(self) -> float:
+        """Direction of the finger axis, rad."""
+        return float(np.arctan2(self.rotation[1, 0], self.rotation[0, 0]))
+
+    def move(self, target: Array, yaw: float, grip: float, speed: float = 1.0) -> Array:
+        """(7,) the action that moves towards target (3,) m and yaw rad, gripper pointing down."""
+        yaw = float(np.mod(yaw - 1e-6, np.pi) + 1e-6)
+        finger = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+        wanted = np.stack([finger, [finger[1], -finger[0], 0.0], [0.0, 0.0, -1.0]], axis=1)
+        turn = 0.5 * np.cross(self.rotation.T, wanted.T).sum(axis=0)
+        if (np.trace(wanted @ self.rotation.T) - 1) / 2 < 0:  # beyond a quarter turn the sine shrinks again
+            turn /= max(np.linalg.norm(turn), 1e-6)
+        shift = (target - self.position) / STEP
+        reach = np.linalg.norm(shift)
+        shift = shift * min(1.0, 1.0 / max(reach, 1e-9)) * speed
+        turn = np.clip(turn / TURN, -0.8, 0.8) * speed
+        return np.concatenate([shift, turn, [grip]]).clip(-1, 1)
+
+    def yaw_error(self, yaw: float) -> float:
+        """How far the finger axis is from `yaw`, rad in [0, pi / 2]."""
+        off = abs(yaw - self.yaw) % np.pi
+        return float(min(off, np.pi - off))

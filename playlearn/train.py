@@ -1,0 +1,402 @@
+"""Learn a policy from a store of play: the root that builds every part and hands it over."""
+
+import dataclasses
+import json
+import math
+import signal
+import sys
+import threading
+import time
+from collections.abc import Generator, Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, cast
+
+import numpy as np
+import torch
+from accelerate import Accelerator
+from torch import Tensor, nn
+from tqdm import tqdm
+
+from playlearn.config import atomic_write, git_revision, load_config, save_config, to_dict, versions
+from playlearn.data import Batch, DataConfig, PlayDataset, statistics
+from playlearn.errors import UsageError
+from playlearn.policies import Policy, PolicyConfig, PolicySpec
+from playlearn.policies.checkpoint import load_checkpoint, save_checkpoint
+from playlearn.policies.ema import averaged
+from playlearn.store import Store, open_store
+
+# What may differ between a run and its resumption: how long it goes on, and what it says meanwhile.
+ADJUSTABLE = ("steps", "max_minutes", "heldout_every", "checkpoint_every", "log_every", "tracker")
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """A training run.
+
+    store: the play. data: how examples are cut from it; its history, chunk and cameras follow the policy's.
+    batch_size: examples an update and process. steps: updates, unless max_minutes of wall clock are over
+    before; the learning rate then falls with whichever is further on, and a resumed run is no longer bit for
+    bit an unbroken one. lr: peak learning rate, after `warmup` updates, then a cosine to zero.
+    grad_clip: largest norm of the gradient. ema_decay: of the averaged weights, which are evaluated and saved.
+    heldout_every, checkpoint_every, log_every: in updates. heldout_batches: of held-out play, always the same.
+    tracker: where metrics go besides `metrics.jsonl`. precision: float32, or bf16 where the device is good at it.
+    cpu: stay off an accelerator that is there.
+    """
+
+    store: Path = Path("datasets/play")
+    data: DataConfig = field(default_factory=DataConfig)
+    policy: PolicyConfig = field(default_factory=PolicyConfig)
+    batch_size: int = 256
+    steps: int = 20_000
+    max_minutes: float | None = None
+    lr: float = 5e-4
+    warmup: int = 200
+    weight_decay: float = 1e-3
+    grad_clip: float = 1.0
+    ema_decay: float = 0.999
+    heldout_every: int = 1000
+    heldout_batches: int = 4
+    checkpoint_every: int = 1000
+    log_every: int = 100
+    seed: int = 0
+    tracker: Literal["tensorboard", "wandb"] | None = None
+    precision: Literal["float32", "bf16"] = "float32"
+    cpu: bool = False
+
+    def __post_init__(self) -> None:
+        """Raises UsageError where a number is out of range."""
+        for name in ("batch_size", "steps", "lr", "heldout_every", "checkpoint_every", "log_every", "grad_clip"):
+            if getattr(self, name) <= 0:
+                raise UsageError(f"{name} must be above 0, got {getattr(self, name)}")
+        if self.max_minutes is not None and self.max_minutes <= 0:
+            raise UsageError(f"max_minutes must be above 0 or null, got {self.max_minutes}")
+        if not 0 <= self.ema_decay < 1:
+            raise UsageError(f"ema_decay must be in [0, 1), got {self.ema_decay}")
+
+    def resolved(self) -> "TrainConfig":
+        """With the fields of `data` that the policy decides."""
+        encoder = self.policy.encoder
+        data = dataclasses.replace(
+            self.data,
+            history=self.policy.history,
+            chunk=self.policy.chunk,
+            cameras=encoder.observation_cameras,
+            goal_cameras=encoder.goal_cameras,
+        )
+        return dataclasses.replace(self, data=data)
+
+
+def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
+    """Train and leave in `out`: config.yaml, run.json, metrics.jsonl, checkpoint/, policy/ (for Policy.load).
+
+    The batch and all noise of an update depend on (seed, update) alone, so a resumed run ends in exactly
+    the tensors of an unbroken one, on one device and without max_minutes.
+
+    Raises:
+        UsageError: `out` is taken (or, with resume, is no run of this config); the store lacks a camera.
+        StoreError: the store is missing or too small.
+        KeyboardInterrupt: on Ctrl-C, after the update in hand and a checkpoint.
+    """
+    config = config.resolved()
+    _check_out(config, out, resume)
+    store = open_store(config.store)
+    _check_cameras(config, store)
+    run = _Run(config, store, out)
+    if resume and run.checkpoint.is_file():
+        run.load()
+    elif run.accelerator.is_main_process:
+        run.describe()
+    with _interruption_deferred() as interrupted, closing(_Progress(config, run.step)) as progress:
+        run.loop(interrupted, progress)
+
+
+class _Run:
+    """Everything that lives as long as the training."""
+
+    def __init__(self, config: TrainConfig, store: Store, out: Path) -> None:
+        self.config, self.store, self.out = config, store, out
+        self.checkpoint = out / "checkpoint" / "last.safetensors"
+        self.accelerator = Accelerator(
+            mixed_precision="bf16" if config.precision == "bf16" else "no",
+            cpu=config.cpu,
+            log_with=config.tracker,
+            project_dir=str(out),
+        )
+        self.data = config.data.build(store, "train", config.seed)
+        self.heldout = _heldout(config, store)
+        self.spec = PolicySpec(
+            state_names=store.spec.state_names,
+            achieved_names=store.spec.achieved_names,
+            action_names=store.spec.action_names,
+            fps=store.spec.fps,
+            cameras={camera: (int(h), int(w)) for camera, (h, w) in store.cameras().items()},
+            controller=store.meta(0).controller,
+        )
+        policy = config.policy.build(self.spec, statistics(self.data), config.seed).to(self.accelerator.device)
+        self.ema = averaged(policy, config.ema_decay)
+        matrices = [parameter for parameter in policy.parameters() if parameter.ndim > 1]
+        vectors = [parameter for parameter in policy.parameters() if parameter.ndim <= 1]
+        decays: list[dict[str, Any]] = [{"params": matrices}, {"params": vectors, "weight_decay": 0.0}]
+        optimizer = torch.optim.AdamW(decays, lr=config.lr, weight_decay=config.weight_decay, fused=True)
+        self.policy = policy
+        self.model: nn.Module
+        self.model, self.optimizer = self.accelerator.prepare(policy, optimizer)
+        self.step, self.seconds = 0, 0.0
+
+    def loop(self, interrupted: threading.Event, progress: "_Progress") -> None:
+        config, accelerator = self.config, self.accelerator
+        if config.tracker:
+            accelerator.init_trackers("playlearn", config=_flat(to_dict(config)))
+        rank, ranks = accelerator.process_index, accelerator.num_processes
+        batches = cast(Generator[Batch], self.data.batches(config.batch_size, self.step, rank, ranks))
+        window = _Window()
+        with closing(batches):
+            while not self.finished():
+                began = time.monotonic()
+                window.add(self.update(next(batches)))
+                self.step += 1
+                last = self.finished()
+                if self.step % config.log_every == 0 or last:
+                    self.log("train", {**window.means(), "lr": self.optimizer.param_groups[0]["lr"]})
+                if self.heldout and (self.step % config.heldout_every == 0 or last):
+                    progress.note(self.log("heldout", self.evaluate()))
+                self.seconds += time.monotonic() - began
+                if self.step % config.checkpoint_every == 0 or last or interrupted.is_set():
+                    self.save()
+                progress.update(self.step, self.progress(), window)
+                if interrupted.is_set():
+                    raise KeyboardInterrupt
+        if config.tracker:
+            accelerator.end_training()
+
+    def update(self, batch: Batch) -> dict[str, Tensor]:
+        config, accelerator = self.config, self.accelerator
+        for group in self.optimizer.param_groups:
+            group["lr"] = config.lr * min(1, (self.step + 1) / max(config.warmup, 1)) * _cosine(self.progress())
+        generator = _generator(config.seed, self.step, accelerator.process_index)
+        with accelerator.autocast():
+            loss, metrics = self.model(batch.to(accelerator.device), generator)
+        self.optimizer.zero_grad()
+        accelerator.backward(loss)
+        norm = accelerator.clip_grad_norm_(self.model.parameters(), config.grad_clip)
+        self.optimizer.step()
+        self.ema.update_parameters(self.policy)
+        return {"loss": loss.detach(), **metrics, "grad_norm": norm}
+
+    @torch.no_grad()
+    def evaluate(self) -> dict[str, float]:
+        """Of the averaged weights on held-out play; action_error in units of the action, over the whole chunk."""
+        policy = cast(Policy, self.ema.module)
+        policy.eval()
+        window = _Window()
+        for number, batch in enumerate(self.heldout):
+            generator = _generator(self.config.seed, number, -1)
+            loss, metrics = policy.loss(batch.to(self.accelerator.device), generator)
+            error = (policy.act(batch, generator) - batch.action).abs().mean(dim=-1)[batch.action_mask].mean()
+            window.add({"loss": loss, **metrics, "action_error": error})
+        return window.means()
+
+    def progress(self) -> float:
+        """How much of the run is done, 0 to 1: of the updates or of the minutes, whichever is more."""
+        share = self.step / self.config.steps
+        if self.config.max_minutes is not None:
+            share = max(share, self.seconds / 60 / self.config.max_minutes)
+        return min(share, 1.0)
+
+    def finished(self) -> bool:
+        return self.progress() >= 1.0
+
+    def log(self, kind: str, values: Mapping[str, float]) -> str:
+        """Into metrics.jsonl and the tracker; returns the line to show."""
+        named = {f"{kind}/{name}": value for name, value in values.items()}
+        if self.accelerator.is_main_process:
+            with self._metrics.open("a", encoding="utf-8") as file:
+                file.write(json.dumps({"step": self.step, "seconds": round(self.seconds, 2), **named}) + "\n")
+        if self.config.tracker:
+            self.accelerator.log(named, step=self.step)
+        return f"step {self.step}: " + " ".join(f"{name} {value:.4g}" for name, value in named.items())
+
+    def save(self) -> None:
+        """The checkpoint, and the averaged policy beside it."""
+        if self.accelerator.is_main_process:
+            note = {"step": self.step, "seconds": self.seconds}
+            save_checkpoint(self.checkpoint, self._modules, self.optimizer.optimizer, note)
+            cast(Policy, self.ema.module).save(self.out / "policy")
+
+    def load(self) -> None:
+        note = load_checkpoint(self.checkpoint, self._modules, self.optimizer.optimizer)
+        self.step, self.seconds = note["step"], note["seconds"]
+        if self.accelerator.is_main_process and self._metrics.exists():
+            lines = self._metrics.read_text(encoding="utf-8").splitlines(keepends=True)
+            kept = [line for line in lines if line.endswith("\n") and json.loads(line)["step"] <= self.step]
+            atomic_write(self._metrics, "".join(kept).encode())
+
+    def describe(self) -> None:
+        """Write down what is being run, before it runs."""
+        self.out.mkdir(parents=True, exist_ok=True)
+        save_config(self.config, self.out / "config.yaml")
+        record = {
+            "seed": self.config.seed,
+            "versions": versions(),
+            "git_revision": git_revision(),
+            "device": str(self.accelerator.device),
+            "processes": self.accelerator.num_processes,
+            "threads": torch.get_num_threads(),
+            "parameters": sum(parameter.numel() for parameter in self.policy.parameters()),
+            "examples": len(self.data),
+            "store": {"path": str(self.config.store), "episodes": len(self.store)},
+            "environment": dict(self.store.spec.environment),
+        }
+        atomic_write(self.out / "run.json", json.dumps(record, indent=2, default=dict).encode())
+
+    @property
+    def _metrics(self) -> Path:
+        return self.out / "metrics.jsonl"
+
+    @property
+    def _modules(self) -> dict[str, nn.Module]:
+        return {"policy": self.policy, "ema": self.ema}
+
+
+class _Window:
+    """Running means of metrics, kept on the device until they are asked for."""
+
+    def __init__(self) -> None:
+        self.sums: dict[str, Tensor] = {}
+        self.count = 0
+        self.latest: dict[str, float] = {}
+
+    def add(self, metrics: Mapping[str, Tensor]) -> None:
+        for name, value in metrics.items():
+            self.sums[name] = self.sums[name] + value if name in self.sums else value
+        self.count += 1
+
+    def means(self) -> dict[str, float]:
+        """Since the last call."""
+        self.latest = {name: float(value) / self.count for name, value in self.sums.items()}
+        self.sums, self.count = {}, 0
+        return self.latest
+
+
+class _Progress:
+    """A bar on a terminal; on a pipe a plain line every `every` seconds."""
+
+    def __init__(self, config: TrainConfig, step: int, every: float = 15.0) -> None:
+        self.bar = tqdm(total=100.0, unit="%", disable=not sys.stderr.isatty(), bar_format=_BAR)
+        self.every, self.shown = every, time.monotonic()
+        self.began, self.first, self.steps = self.shown, step, config.steps
+        self.share: float | None = None
+
+    def update(self, step: int, share: float, window: _Window) -> None:
+        now = time.monotonic()
+        if self.share is None:
+            self.share = self.bar.n = 100 * share
+        rate = (step - self.first) / max(now - self.began, 1e-9)
+        loss = f"loss {window.latest['loss']:.4g}" if "loss" in window.latest else ""
+        if not self.bar.disable:
+            self.bar.set_postfix_str(f"step {step} {rate:.1f} updates/s {loss}", refresh=False)
+            self.bar.update(100 * share - self.bar.n)
+        elif now - self.shown >= self.every or share >= 1:
+            self.shown = now
+            done = 100 * share - self.share
+            left = (now - self.began) * (100 - 100 * share) / done if done > 0 else math.nan
+            line = f"train: {100 * share:.0f} %, step {step}, {rate:.1f} updates/s, {loss}, {left:.0f} s left"
+            print(line, file=sys.stderr, flush=True)
+
+    def note(self, line: str) -> None:
+        if not self.bar.disable:
+            self.bar.write(line, file=sys.stderr)
+        else:
+            print(line, file=sys.stderr, flush=True)
+
+    def close(self) -> None:
+        self.bar.close()
+
+
+_BAR = "train: {percentage:3.0f} %|{bar}| {elapsed} < {remaining} {postfix}"
+
+
+def _check_out(config: TrainConfig, out: Path, resume: bool) -> None:
+    if not resume:
+        if out.exists() and (not out.is_dir() or any(out.iterdir())):
+            raise UsageError(f"{out} is there already: choose another --out, or go on with it by --resume")
+        return
+    if not (out / "config.yaml").is_file():
+        raise UsageError(f"there is no run at {out} to resume; start it without --resume")
+    before, now = to_dict(load_config(TrainConfig, out / "config.yaml")), to_dict(config)
+    changed = sorted(
+        name
+        for name in _flat(before).keys() | _flat(now).keys()
+        if _flat(before).get(name) != _flat(now).get(name) and name not in ADJUSTABLE
+    )
+    if changed:
+        raise UsageError(f"{out} was trained with another {', '.join(changed)}: give the same config, or another --out")
+
+
+def _check_cameras(config: TrainConfig, store: Store) -> None:
+    has = store.cameras()
+    missing = [camera for camera in (*config.data.cameras, *config.data.goal_cameras) if camera not in has]
+    if missing:
+        wanted = " ".join(f"--camera {camera}=64x64" for camera in dict.fromkeys(missing))
+        raise UsageError(
+            f"{config.store} has no images of {', '.join(dict.fromkeys(missing))}; "
+            f"`playlearn render {config.store} OUT {wanted}` draws them from its simulator states"
+        )
+
+
+def _heldout(config: TrainConfig, store: Store) -> list[Batch]:
+    if config.data.heldout_share <= 0 or config.heldout_batches <= 0:
+        return []
+    dataset: PlayDataset = config.data.build(store, "heldout", config.seed)
+    order = dataset.epoch_indices(0)[: config.heldout_batches * config.batch_size]
+    parts = np.array_split(order, max(1, math.ceil(len(order) / config.batch_size)))
+    return [dataset.batch(0, part) for part in parts]
+
+
+def _cosine(share: float) -> float:
+    return 0.5 * (1 + math.cos(math.pi * share))
+
+
+def _generator(*words: int) -> torch.Generator:
+    """A generator that depends on these numbers alone."""
+    seed = np.random.SeedSequence([word & 0xFFFFFFFF for word in words]).generate_state(1, np.uint64)[0]
+    return torch.Generator().manual_seed(int(seed) & 0x7FFFFFFFFFFFFFFF)
+
+
+def _flat(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """{"a": {"b": 1}} -> {"a.b": 1}; what is neither number nor text is written as text."""
+    flat: dict[str, Any] = {}
+    for name, value in nested.items():
+        if isinstance(value, Mapping):
+            flat |= _flat(value, f"{prefix}{name}.")
+        else:
+            flat[prefix + name] = value if isinstance(value, bool | int | float | str) else str(value)
+    return flat
+
+
+@contextmanager
+def _interruption_deferred() -> Iterator[threading.Event]:
+    """Turn the first Ctrl-C into an event, so that no update is cut in half; the second one strikes as usual."""
+    asked = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield asked
+        return
+    kinds = (signal.SIGINT, signal.SIGTERM)
+    before = {kind: signal.getsignal(kind) for kind in kinds}
+
+    def restore() -> None:
+        for kind, handler in before.items():
+            signal.signal(kind, handler)
+
+    def ask(_number: int, _frame: object) -> None:
+        asked.set()
+        restore()
+
+    for kind in kinds:
+        signal.signal(kind, ask)
+    try:
+        yield asked
+    finally:
+        restore()

@@ -1,0 +1,124 @@
+"""Small policies of every registered kind, and inputs for them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+
+from playlearn.config import from_dict
+from playlearn.policies import EncoderConfig, HeadConfig, Policy, PolicyConfig, PolicySpec, TrunkConfig
+
+torch.set_num_threads(1)
+
+SPEC = PolicySpec(
+    state_names=("eef.x", "eef.y", "gripper"),
+    achieved_names=("red.x", "red.y", "drawer", "lamp"),
+    action_names=("dx", "dy", "gripper"),
+    fps=20.0,
+    cameras={"front": (16, 16), "wrist": (16, 16)},
+)
+S, G, A, H = 3, 4, 3, 4
+
+# Only what makes a kind quick; a kind that is not named here is tested as it comes.
+SMALL: dict[str, dict[str, Any]] = {
+    "cnn": {"channels": [8, 8], "kernels": [3, 3], "strides": [2, 2], "features": 16, "hidden": 16},
+    "torchvision": {"name": "shufflenet_v2_x0_5", "features": 16, "hidden": 16},
+    "diffusion": {"width": 32, "blocks": 2, "sample_steps": 3},
+    "transformer": {"width": 32, "layers": 2},
+    "mlp": {"width": 32, "hidden": 32},
+}
+ENCODERS = sorted(EncoderConfig.get_known_choices())
+TRUNKS = sorted(TrunkConfig.get_known_choices())
+HEADS = sorted(HeadConfig.get_known_choices())
+
+
+@dataclass(frozen=True, eq=False)
+class Examples:
+    """The fields of a Batch that a policy reads."""
+
+    state: torch.Tensor
+    achieved: torch.Tensor
+    history_mask: torch.Tensor
+    goal_achieved: torch.Tensor
+    action: torch.Tensor
+    action_mask: torch.Tensor
+    images: Mapping[str, torch.Tensor] = field(default_factory=dict)
+    goal_images: Mapping[str, torch.Tensor] = field(default_factory=dict)
+
+
+def small(kind: str, **more: Any) -> dict[str, Any]:
+    return {"type": kind, **SMALL.get(kind, {}), **more}
+
+
+def policy(
+    encoder: str = "state",
+    trunk: str = "mlp",
+    head: str = "deterministic",
+    *,
+    seed: int = 0,
+    history: int = 1,
+    encoder_options: Mapping[str, Any] | None = None,
+    head_options: Mapping[str, Any] | None = None,
+    goal_dropout: float = 0.1,
+) -> Policy:
+    """A fresh one whose normaliser is no identity."""
+    config = from_dict(
+        PolicyConfig,
+        {
+            "encoder": small(encoder, **(encoder_options or {})),
+            "trunk": small(trunk),
+            "head": small(head, **(head_options or {})),
+            "history": history,
+            "chunk": H,
+            "goal_dropout": goal_dropout,
+        },
+    )
+    return config.build(SPEC, spreads(), seed)
+
+
+@dataclass(frozen=True)
+class Spread:
+    mean: np.ndarray
+    std: np.ndarray
+
+
+def spreads() -> dict[str, Spread]:
+    rng = np.random.default_rng(1)
+    return {
+        name: Spread(rng.normal(size=n) * 0.1, rng.uniform(0.2, 0.5, n))
+        for name, n in (("state", S), ("achieved", G), ("action", A))
+    }
+
+
+def examples(count: int = 5, history: int = 1, seed: int = 0) -> Examples:
+    rng = torch.Generator().manual_seed(seed)
+
+    def numbers(*shape: int) -> torch.Tensor:
+        return torch.randn(shape, generator=rng)
+
+    def frames(*shape: int) -> torch.Tensor:
+        return torch.randint(0, 256, (*shape, 16, 16, 3), dtype=torch.uint8, generator=rng)
+
+    return Examples(
+        state=numbers(count, history, S),
+        achieved=numbers(count, history, G),
+        history_mask=torch.ones(count, history, dtype=torch.bool),
+        goal_achieved=numbers(count, G),
+        action=numbers(count, H, A).clamp(-1, 1),
+        action_mask=torch.ones(count, H, dtype=torch.bool),
+        images={"front": frames(count, history), "wrist": frames(count, history)},
+        goal_images={"front": frames(count)},
+    )
+
+
+def take(batch: Examples, rows: slice) -> Examples:
+    def cut(value: Any) -> Any:
+        return {name: one[rows] for name, one in value.items()} if isinstance(value, Mapping) else value[rows]
+
+    return Examples(**{name: cut(value) for name, value in vars(batch).items()})
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)

@@ -1,0 +1,125 @@
+"""Laws of the encoders: what they may read, and how goals are withheld."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from playlearn.errors import UsageError
+from playlearn.policies.encoders.cnn import SpatialSoftmax
+from playlearn.policies.encoders.image import pixels, random_shift
+from tests.policies.parts import ENCODERS, SPEC, examples, generator, policy
+
+ESTIMATE = {"auxiliary": {"achieved": 1.0}, "feed_estimate": True}
+
+
+@pytest.mark.parametrize("fusion", ["early", "late"])
+@pytest.mark.parametrize("more", [{}, ESTIMATE])
+def test_an_image_policy_never_acts_on_the_true_achieved(fusion: str, more: dict[str, object]) -> None:
+    made = policy("cnn", encoder_options={"fusion": fusion, **more}).eval()
+    batch, other = examples(), examples(seed=3)
+    blind = dataclasses.replace(batch, achieved=other.achieved, goal_achieved=other.goal_achieved)
+    assert torch.equal(made.act(batch, generator()), made.act(blind, generator()))
+    assert not torch.equal(made.loss(batch, generator())[0], made.loss(blind, generator())[0]) or not more
+
+
+@pytest.mark.parametrize("encoder", ENCODERS)
+def test_a_withheld_goal_leaves_no_trace(encoder: str) -> None:
+    made = policy(encoder).eval()
+    batch, other = examples(), examples(seed=3)
+    elsewhere = dataclasses.replace(batch, goal_achieved=other.goal_achieved, goal_images=other.goal_images)
+    keep = torch.zeros(5, dtype=torch.bool)
+    one, two = (made.encoder(made._normalised(inputs), keep) for inputs in (batch, elsewhere))
+    assert torch.equal(one.goal, two.goal)
+    assert torch.equal(one.steps, two.steps)
+
+
+@pytest.mark.parametrize("fusion", ["early", "late"])
+def test_with_an_estimate_too_a_withheld_goal_leaves_no_trace(fusion: str) -> None:
+    made = policy("cnn", encoder_options={"fusion": fusion, **ESTIMATE}).eval()
+    batch, other = examples(), examples(seed=3)
+    elsewhere = dataclasses.replace(batch, goal_images=other.goal_images)
+    assert torch.equal(made.act(batch, generator(), guidance=0.0), made.act(elsewhere, generator(), guidance=0.0))
+
+
+def test_the_auxiliary_loss_shapes_the_estimate_and_the_policy_only_if_told() -> None:
+    """Detached, the policy's loss gives the estimate's own layers no gradient; attached, it does."""
+    for detached in (True, False):
+        made = policy("cnn", encoder_options={**ESTIMATE, "detach_estimate": detached})
+        batch = examples()
+        keep = torch.ones(5, dtype=torch.bool)
+        features, extra = made._features(made._normalised(batch), keep, None)
+        features.square().sum().backward(retain_graph=True)
+        layers = list(made.encoder.estimate.parameters())
+        assert all(p.grad is None for p in layers) == detached
+        extra["achieved"].backward()
+        assert all(p.grad is not None for p in layers)
+
+
+def test_goal_names_choose_what_a_goal_speaks_of() -> None:
+    made = policy("state", encoder_options={"goal_names": ["red.*"]}).eval()
+    batch = examples()
+    lamp, red = batch.goal_achieved.clone(), batch.goal_achieved.clone()
+    lamp[:, SPEC.achieved_names.index("lamp")] += 1
+    red[:, SPEC.achieved_names.index("red.x")] += 1
+    plain = made.act(batch, generator())
+    assert torch.equal(made.act(dataclasses.replace(batch, goal_achieved=lamp), generator()), plain)
+    assert not torch.equal(made.act(dataclasses.replace(batch, goal_achieved=red), generator()), plain)
+    with pytest.raises(UsageError, match=r"'green\.\*' matches none of: red\.x"):
+        policy("state", encoder_options={"goal_names": ["green.*"]})
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"cameras": ["wrist"]}, "goal_camera 'front' is not among"),
+        ({"cameras": ["front", "side"]}, "wants camera 'side'"),
+        ({"feed_estimate": True}, "needs encoder.auxiliary.achieved above 0"),
+    ],
+)
+def test_a_config_that_cannot_be_built_says_why(options: dict[str, object], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        policy("cnn", encoder_options=options)
+
+
+def test_torchvision_names_and_weights_are_checked() -> None:
+    with pytest.raises(UsageError, match="'resnet_18' is no torchvision classifier"):
+        policy("torchvision", encoder_options={"name": "resnet_18"})
+    with pytest.raises(UsageError, match="'BEST'"):
+        policy("torchvision", encoder_options={"weights": "BEST"})
+
+
+def test_weights_that_cannot_be_fetched_are_one_message(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unreachable(*_: object, **__: object) -> None:
+        raise OSError("no route to host")
+
+    monkeypatch.setattr("torchvision.models._api.WeightsEnum.get_state_dict", unreachable)
+    with pytest.raises(UsageError, match=r"cannot be downloaded \(no route to host\); set encoder.weights to null"):
+        policy("torchvision", encoder_options={"weights": "DEFAULT"})
+
+
+def test_pixels_are_channels_last_in_minus_one_to_one() -> None:
+    frames = torch.tensor([0, 255], dtype=torch.uint8).view(2, 1, 1, 1).expand(2, 4, 4, 3)
+    out = pixels(frames.contiguous())
+    assert out.shape == (2, 3, 4, 4)
+    assert out.is_contiguous(memory_format=torch.channels_last)
+    assert (out[0] == -1).all()
+    assert (out[1] == 1).all()
+
+
+def test_a_shift_moves_all_frames_of_an_example_alike() -> None:
+    """A picture whose value is its place shows by how much it was moved: never beyond the limit."""
+    place = torch.arange(16 * 16, dtype=torch.int32).view(1, 1, 16, 16, 1).expand(64, 2, 16, 16, 1)
+    moved = random_shift(place.contiguous(), 2, generator())
+    assert torch.equal(moved[:, 0], moved[:, 1])
+    centre = moved[:, 0, 8, 8, 0] - place[0, 0, 8, 8, 0]
+    down, right = torch.div(centre + 2, 16, rounding_mode="floor"), (centre + 2) % 16 - 2
+    assert set(down.tolist()) == set(right.tolist()) == {-2, -1, 0, 1, 2}
+
+
+def test_spatial_softmax_finds_a_peak() -> None:
+    """One hot pixel at row 0, column 4 of 5 x 5 is x = 1, y = -1."""
+    maps = torch.zeros(1, 1, 5, 5)
+    maps[0, 0, 0, 4] = 50.0
+    out = SpatialSoftmax(5, 5)(maps)
+    torch.testing.assert_close(out, torch.tensor([[1.0, -1.0, 2.0]]))

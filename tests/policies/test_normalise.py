@@ -1,0 +1,44 @@
+"""Laws of the normaliser and of the averaged weights."""
+
+import numpy as np
+import torch
+from torch import nn
+
+from playlearn.policies.ema import averaged
+from playlearn.policies.normalise import Normaliser
+from tests.policies.parts import Spread, generator
+
+
+def test_restore_undoes_normalise() -> None:
+    rng = np.random.default_rng(0)
+    normaliser = Normaliser({"state": Spread(rng.normal(size=5), rng.uniform(0.1, 2, 5))})
+    values = torch.randn(7, 5, generator=generator())
+    torch.testing.assert_close(normaliser.restore("state", normaliser.normalise("state", values)), values)
+
+
+def test_data_comes_out_with_zero_mean_and_unit_spread() -> None:
+    data = np.random.default_rng(0).normal(3, 0.2, (1000, 2))
+    normaliser = Normaliser({"state": Spread(data.mean(0), data.std(0))})
+    out = normaliser.normalise("state", torch.tensor(data, dtype=torch.float32))
+    torch.testing.assert_close(out.mean(0), torch.zeros(2), atol=1e-4, rtol=0)
+    torch.testing.assert_close(out.std(0), torch.ones(2), atol=1e-3, rtol=0)
+
+
+def test_a_dimension_that_does_not_vary_is_only_shifted() -> None:
+    normaliser = Normaliser({"state": Spread(np.array([2.0]), np.array([1e-9]))})
+    assert normaliser.normalise("state", torch.tensor([2.001])).item() < 0.01
+
+
+def test_the_average_is_the_recursion_written_out() -> None:
+    """With decay d_n = min(0.5, (1 + n) / (10 + n)): e_0 = w_0, e_n = d_n e_{n-1} + (1 - d_n) w_n."""
+    model = nn.Linear(1, 1, bias=False)
+    ema = averaged(model, 0.5)
+    expected = None
+    for n, weight in enumerate([1.0, 2.0, 5.0, -3.0]):
+        with torch.no_grad():
+            model.weight.fill_(weight)
+        ema.update_parameters(model)
+        decay = min(0.5, (1 + n) / (10 + n))
+        expected = weight if expected is None else decay * expected + (1 - decay) * weight
+    assert abs(ema.module.weight.item() - expected) < 1e-6
+    assert model.weight.item() == -3.0

@@ -1,0 +1,101 @@
+"""Whoever drives: the expert reaches what is asked, play is what it says of itself."""
+
+import numpy as np
+import pytest
+
+from playlearn.episode import Episode, Goal
+from playlearn.rollout import rollout
+from playlearn.sim import PlayTableConfig
+from playlearn.sim.playtable import PlayTableWorld
+from playlearn.teleop import PlayConfig, expert_for, player_for
+from playlearn.teleop.hand import Hand
+
+
+@pytest.fixture(scope="module")
+def world() -> PlayTableWorld:
+    return PlayTableConfig().build()
+
+
+def play(world: PlayTableWorld, seed: int, steps: int, config: PlayConfig) -> Episode:
+    world.reset(seed)
+    episode = rollout([world], player_for(world, config), [None], seeds=[seed], max_steps=steps)[0].episode
+    assert episode is not None
+    return episode
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["lift_red", "push_blue", "rotate_pink", "place_red", "stow_blue", "stack_pink", "unstack_red"]
+    + ["open_drawer", "close_drawer", "lamp_on", "lamp_off"],
+)
+def test_the_expert_reaches_every_kind_of_goal(world: PlayTableWorld, name: str) -> None:
+    """Of three starts each at least two; whole suites say how often over hundreds."""
+    task, expert = world.tasks[name], expert_for(world)
+    reached = 0
+    for start_seed in range(3):
+        for draw in range(100):
+            rng = np.random.default_rng([start_seed, draw])
+            world.reset(1000 * start_seed + draw)
+            task.arrange(world, rng)
+            start = world.achieved()
+            goal = task.command(start, rng)
+            if task.precondition(start) and not np.array_equal(goal, start):
+                break
+        expert.reset([Goal(goal)], [0])
+        for _ in range(200):
+            world.step(expert.act([world.observe()], [True])[0].action)
+            if task.judge(start, world.achieved(), goal):
+                reached += 1
+                break
+    assert reached >= 2
+
+
+def test_the_expert_rests_where_nothing_is_to_be_done(world: PlayTableWorld) -> None:
+    world.reset(0)
+    start = world.achieved()
+    expert = expert_for(world)
+    expert.reset([Goal(start)], [0])
+    for _ in range(30):
+        world.step(expert.act([world.observe()], [True])[0].action)
+    np.testing.assert_allclose(world.achieved(), start, atol=2e-3)
+
+
+def test_play_is_the_same_for_the_same_seed(world: PlayTableWorld) -> None:
+    first, again = play(world, 3, 60, PlayConfig()), play(world, 3, 60, PlayConfig())
+    np.testing.assert_array_equal(first.action, again.action)
+    np.testing.assert_array_equal(first.sim_state, again.sim_state)
+
+
+def test_play_without_noise_or_mistakes_executes_its_labels(world: PlayTableWorld) -> None:
+    tidy = PlayConfig(noise=0.0, pause=0.0, mistake=0.0, slip=0.0)
+    episode = play(world, 4, 80, tidy)
+    np.testing.assert_array_equal(episode.action, episode.expert_action)
+
+
+def test_mistakes_change_what_is_done_and_not_what_was_meant(world: PlayTableWorld) -> None:
+    clumsy = play(world, 4, 40, PlayConfig(noise=0.0, pause=0.0, mistake=1.0, slip=0.0))
+    strayed = np.abs(clumsy.action - clumsy.expert_action).max(axis=1)
+    assert strayed[:20].max() > 0.3  # acts on a place 3 cm or more from where things are
+    seen = clumsy.expert_action
+    assert np.isfinite(seen).all()
+    assert np.abs(seen).max() <= 1
+
+
+def test_play_changes_the_world_in_many_ways(world: PlayTableWorld) -> None:
+    skills, moved = set(), 0.0
+    for seed in range(3):
+        episode = play(world, 10 + seed, 300, PlayConfig())
+        skills |= {name.split("_")[0] for name in episode.meta.skills}
+        moved += float(np.ptp(episode.achieved[:, :2], axis=0).max() > 0.05)
+    assert len(skills) >= 4
+    assert np.ptp(episode.state[:, :3], axis=0).max() > 0.15
+
+
+@pytest.mark.parametrize("yaw", [0.3, np.pi / 2, 2.5])
+def test_a_motion_points_at_its_target_and_never_beyond_full_speed(yaw: float) -> None:
+    down = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])  # gripper down, fingers along y
+    hand = Hand(np.array([0.0, 0.0, 1.0]), down, 0.08)
+    action = hand.move(np.array([0.3, 0.4, 1.0]), yaw, -1.0)
+    np.testing.assert_allclose(action[:3], [0.6, 0.8, 0.0], atol=1e-9)  # 0.5 m away: full speed, straight
+    assert np.sign(action[5].round(6)) == np.sign(round(yaw - np.pi / 2, 6))
+    assert np.abs(action[3:5]).max() < 1e-9  # it stays upright

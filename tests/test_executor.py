@@ -1,0 +1,185 @@
+"""Laws of the executor: every job exactly once, whatever happens to the workers."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from playlearn.errors import UsageError
+from playlearn.executor import SINGLE_THREAD, Job, LocalExecutorConfig, LostError
+
+
+def draw(seed: int) -> float:
+    import numpy as np
+
+    return float(np.random.default_rng(seed).standard_normal())
+
+
+def process_and_threads() -> tuple[int, dict[str, str | None]]:
+    return os.getpid(), {name: os.environ.get(name) for name in SINGLE_THREAD}
+
+
+def die_until(marks: str, times: int) -> int:
+    """Kill this process the first `times` times; then return how often it was tried."""
+    tries = len(list(Path(marks).iterdir()))
+    if tries < times:
+        (Path(marks) / str(tries)).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return tries
+
+
+def sleep(seconds: float) -> str:
+    time.sleep(seconds)
+    return "slept"
+
+
+def complain() -> None:
+    raise UsageError("no such store; make one with: playlearn collect")
+
+
+class OddError(Exception):
+    """Cannot be built again from its arguments."""
+
+    def __init__(self, left: str, right: str) -> None:
+        super().__init__(left + right)
+
+
+def complain_oddly() -> None:
+    raise OddError("left", "right")
+
+
+def local(workers: int, **options: float) -> LocalExecutorConfig:
+    return LocalExecutorConfig(workers=workers, **options)  # type: ignore[arg-type]
+
+
+def test_results_are_the_same_for_any_number_of_workers() -> None:
+    """A job is a pure function of its seed, so 0, 1 and 3 workers give the same values."""
+    jobs = [Job(key=seed, function=draw, kwargs={"seed": seed}, seed=seed) for seed in range(7)]
+    runs = []
+    for workers in (0, 1, 3):
+        results = list(local(workers).build().run(jobs))
+        assert sorted(result.key for result in results) == list(range(7)), "each job exactly once"
+        runs.append({result.key: result.value for result in results})
+    assert runs[0] == runs[1] == runs[2]
+
+
+def test_workers_live_on_and_are_single_threaded() -> None:
+    """Two jobs on one worker share its process, which is not ours and computes on one thread."""
+    jobs = [Job(key=k, function=process_and_threads) for k in range(2)]
+    (first, threads), (second, _) = (result.value for result in local(1).build().run(jobs))
+    assert first == second != os.getpid()
+    assert threads == SINGLE_THREAD
+
+
+def test_in_a_with_block_workers_live_on_between_runs() -> None:
+    """The second run finds the first one's process, and nobody is left when the block ends."""
+    with local(1).build() as executor:
+        first, second = (next(executor.run([Job(0, process_and_threads)])).value[0] for _ in range(2))
+        assert first == second
+    with pytest.raises(ProcessLookupError):
+        os.kill(first, 0)
+
+
+def test_starting_workers_leaves_the_environment_as_it_was() -> None:
+    before = dict(os.environ)
+    list(local(1).build().run([Job(key=0, function=draw, kwargs={"seed": 0})]))
+    assert dict(os.environ) == before
+
+
+def test_a_lost_workers_job_runs_again(tmp_path: Path) -> None:
+    """Killed twice, the third and last try gives the value; it is counted once."""
+    results = list(local(1).build().run([Job(0, die_until, {"marks": str(tmp_path), "times": 2})]))
+    assert [(result.value, result.tries) for result in results] == [(2, 3)]
+
+
+def test_a_job_lost_too_often_is_named(tmp_path: Path) -> None:
+    marks = tmp_path / "marks"
+    marks.mkdir()
+    job = Job("cohort 4", die_until, {"marks": str(marks), "times": 9}, seed=77)
+    with pytest.raises(LostError, match=r"cohort 4 \(seed 77\).*3 times.*SIGKILL"):
+        list(local(2).build().run([job]))
+    assert len(list(marks.iterdir())) == 3, "the first try and two more"
+
+
+def test_keep_going_yields_the_lost_one_and_finishes_the_others(tmp_path: Path) -> None:
+    jobs = [Job("bad", die_until, {"marks": str(tmp_path), "times": 9})]
+    jobs += [Job(seed, draw, {"seed": seed}) for seed in range(2)]
+    results = {result.key: result for result in local(1).build().run(jobs, keep_going=True)}
+    assert isinstance(results["bad"].error, LostError)
+    assert [results[seed].value for seed in range(2)] == [draw(0), draw(1)]
+
+
+def test_a_hung_worker_is_stopped() -> None:
+    started = time.perf_counter()
+    executor = local(1, timeout=1.5, retries=0).build()
+    with pytest.raises(LostError, match=r"did not finish within 1.5 s"):
+        list(executor.run([Job("slow", sleep, {"seconds": 60})]))
+    assert time.perf_counter() - started < 20
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_what_a_job_raises_arrives_unchanged_and_is_not_tried_again(workers: int) -> None:
+    with pytest.raises(UsageError, match="no such store"):
+        list(local(workers).build().run([Job(0, complain)]))
+
+
+def test_an_error_that_cannot_travel_is_quoted() -> None:
+    with pytest.raises(RuntimeError, match="OddError: leftright"):
+        list(local(1).build().run([Job(0, complain_oddly)]))
+
+
+def test_a_caller_that_stops_listening_leaves_no_process_behind() -> None:
+    jobs = [Job(0, process_and_threads), Job(1, sleep, {"seconds": 60})]
+    results = local(2).build().run(jobs)
+    first = next(results)
+    results.close()  # type: ignore[attr-defined]
+    with pytest.raises(ProcessLookupError):
+        os.kill(first.value[0], 0)
+
+
+def test_ctrl_c_stops_parent_and_children(tmp_path: Path) -> None:
+    """SIGINT to the whole process group, as a terminal sends it: one KeyboardInterrupt, no orphan, no noise."""
+    script = tmp_path / "job.py"
+    script.write_text(
+        "import os, sys, time\n"
+        "from playlearn.executor import Job, LocalExecutorConfig\n"
+        "def wait(path):\n"
+        "    open(path + str(os.getpid()), 'w').close()\n"
+        "    time.sleep(60)\n"
+        "if __name__ == '__main__':\n"
+        "    try:\n"
+        "        jobs = [Job(k, wait, {'path': sys.argv[1]}) for k in range(2)]\n"
+        "        list(LocalExecutorConfig(workers=2).build().run(jobs))\n"
+        "    except KeyboardInterrupt:\n"
+        "        sys.exit(130)\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, str(script), str(tmp_path / "child-")],
+        start_new_session=True,
+        stderr=subprocess.PIPE,
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])},
+    )
+    children: list[int] = []
+    until = time.monotonic() + 30
+    while len(children) < 2 and time.monotonic() < until:
+        time.sleep(0.05)
+        children = [int(path.name.removeprefix("child-")) for path in tmp_path.glob("child-*")]
+    assert len(children) == 2
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert errors == b""
+    for child in children:
+        with pytest.raises(ProcessLookupError):
+            os.kill(child, 0)
+
+
+def test_mistakes_are_found_early() -> None:
+    with pytest.raises(ValueError, match="module level"):
+        Job(0, lambda: None)
+    with pytest.raises(UsageError, match="workers is -1"):
+        local(-1).build()

@@ -1,0 +1,205 @@
+"""Laws of training: resumption, interruption, what a run leaves, and what it refuses."""
+
+import dataclasses
+import json
+import math
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from playlearn import train as module
+from playlearn.config import from_dict, load_config
+from playlearn.errors import CheckpointError, StoreError, UsageError
+from playlearn.policies import Policy
+from playlearn.train import TrainConfig, train
+from tests.policies.parts import small
+from tests.synthetic import make_store
+
+torch.set_num_threads(1)
+CONFIGS = sorted((Path(__file__).parents[1] / "configs" / "train").glob("*.yaml"))
+
+
+@pytest.fixture(scope="module")
+def play(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("train") / "play"
+    make_store(path, np.random.default_rng(0), episodes=4, steps=150, cameras=("front", "wrist"))
+    return path
+
+
+def config(store: Path, encoder: str = "state", head: str = "deterministic", **more: Any) -> TrainConfig:
+    fields = {
+        "store": str(store),
+        "policy": {"encoder": small(encoder), "trunk": small("mlp"), "head": small(head), "chunk": 4},
+        "batch_size": 8,
+        "steps": 4,
+        "warmup": 2,
+        "log_every": 2,
+        "heldout_every": 2,
+        "heldout_batches": 1,
+        "cpu": True,
+    }
+    return from_dict(TrainConfig, fields | more)
+
+
+def stop_after(monkeypatch: pytest.MonkeyPatch, steps: int, how: int) -> None:
+    """Send a signal to this process during that update, as a user's Ctrl-C would."""
+    plain = module._Run.update
+
+    def update(run: Any, batch: Any) -> Any:
+        if run.step == steps - 1:
+            os.kill(os.getpid(), how)
+        return plain(run, batch)
+
+    monkeypatch.setattr(module._Run, "update", update)
+
+
+@pytest.mark.parametrize(("encoder", "head"), [("state", "deterministic"), ("cnn", "diffusion")])
+def test_a_resumed_run_is_an_unbroken_one_bit_for_bit(
+    encoder: str, head: str, play: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """4 updates against 2, Ctrl-C, 2 more: all weights, averages, moments and metrics are equal."""
+    settings = config(play, encoder, head)
+    train(settings, tmp_path / "whole")
+    with monkeypatch.context() as patch:
+        stop_after(patch, 2, signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            train(settings, tmp_path / "broken")
+    half = load_file(tmp_path / "broken" / "checkpoint" / "last.safetensors")
+    train(settings, tmp_path / "broken", resume=True)
+    whole, broken = (load_file(tmp_path / run / "checkpoint" / "last.safetensors") for run in ("whole", "broken"))
+    assert whole.keys() == broken.keys()
+    assert [name for name in whole if not torch.equal(whole[name], broken[name])] == []
+    assert any(not torch.equal(half[name], broken[name]) for name in half), "two more updates must change something"
+    assert any(name.startswith("optimizer.") for name in whole)
+    assert metrics(tmp_path / "whole") == metrics(tmp_path / "broken")
+
+
+def metrics(run: Path) -> list[dict[str, float]]:
+    lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
+    return [{name: value for name, value in line.items() if name != "seconds"} for line in lines]
+
+
+def test_an_interrupted_run_keeps_its_checkpoint_and_gives_the_signal_back(
+    play: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    with monkeypatch.context() as patch:
+        stop_after(patch, 3, signal.SIGTERM)
+        with pytest.raises(KeyboardInterrupt):
+            train(config(play, steps=100), tmp_path / "run")
+    assert signal.getsignal(signal.SIGTERM) is before
+    Policy.load(tmp_path / "run" / "policy")
+    train(config(play, steps=3), tmp_path / "run", resume=True)  # three updates were done: nothing is left to do
+    assert metrics(tmp_path / "run")[-1]["step"] == 2
+
+
+def test_what_a_run_leaves(play: Path, tmp_path: Path) -> None:
+    settings = config(play)
+    out = tmp_path / "run"
+    train(settings, out)
+    assert load_config(TrainConfig, out / "config.yaml") == settings.resolved()
+    record = json.loads((out / "run.json").read_text())
+    assert record["seed"] == 0
+    assert record["versions"]["torch"] == torch.__version__.partition("+")[0] or record["versions"]["torch"]
+    assert {"git_revision", "parameters", "store", "environment"} <= record.keys()
+    checkpoint = load_file(out / "checkpoint" / "last.safetensors")
+    saved = load_file(out / "policy" / "policy.safetensors")
+    assert all(torch.equal(value, checkpoint[f"ema.module.{name}"]) for name, value in saved.items())
+    assert any(not torch.equal(value, checkpoint[f"policy.{name}"]) for name, value in saved.items())
+    steps = [(line["step"], next(name for name in line if "/" in name).partition("/")[0]) for line in metrics(out)]
+    assert steps == [(2, "train"), (2, "heldout"), (4, "train"), (4, "heldout")]
+    assert not list(out.rglob("*.tmp"))
+
+
+def test_statistics_come_from_the_training_episodes(play: Path, tmp_path: Path) -> None:
+    settings = config(play, steps=1)
+    train(settings, tmp_path / "run")
+    policy = Policy.load(tmp_path / "run" / "policy")
+    data = settings.resolved().data.build(module.open_store(play), "train", 0)
+    out = policy.normaliser.normalise("state", torch.from_numpy(data.state))
+    torch.testing.assert_close(out.mean(0), torch.zeros(out.shape[1]), atol=1e-3, rtol=0)
+    torch.testing.assert_close(out.std(0), torch.ones(out.shape[1]), atol=1e-2, rtol=0)
+
+
+def test_training_learns(play: Path, tmp_path: Path) -> None:
+    """60 updates on play whose actions are noise around zero: the loss at least leaves where it began."""
+    train(config(play, steps=60, log_every=5, heldout_every=60, lr=3e-3, batch_size=32), tmp_path / "run")
+    losses = [line["train/loss"] for line in metrics(tmp_path / "run") if "train/loss" in line]
+    assert losses[-1] < losses[0] - 0.005
+
+
+def test_the_learning_rate_warms_up_and_falls_to_zero(play: Path, tmp_path: Path) -> None:
+    """lr (step + 1) / warmup at first, and half a cosine over all 10 steps: at step 5, half of the peak."""
+    train(config(play, steps=10, log_every=1, heldout_every=10, lr=0.01), tmp_path / "run")
+    rates = [line["train/lr"] for line in metrics(tmp_path / "run") if "train/lr" in line]
+    assert rates[0] == pytest.approx(0.005)
+    assert rates[5] == pytest.approx(0.005)
+    assert rates[9] == pytest.approx(0.01 * 0.5 * (1 + math.cos(0.9 * math.pi)))
+
+
+def test_minutes_end_a_run_and_bend_its_schedule(play: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A clock that gains 3 s at each look lets one minute end after 20 updates of 3 s, long before 1000."""
+    now = iter(range(0, 10**6, 3))
+    monkeypatch.setattr(module.time, "monotonic", lambda: float(next(now)))
+    monkeypatch.setattr(module, "_Progress", Silent)
+    train(config(play, steps=1000, max_minutes=1, log_every=1, heldout_every=1000), tmp_path / "run")
+    lines = [line for line in metrics(tmp_path / "run") if "train/lr" in line]
+    assert lines[-1]["step"] in (20, 21)
+    assert lines[-1]["train/lr"] < 0.05 * lines[2]["train/lr"]
+
+
+class Silent:
+    def __init__(self, *_: object) -> None: ...
+    def update(self, *_: object) -> None: ...
+    def note(self, *_: object) -> None: ...
+    def close(self) -> None: ...
+
+
+def test_a_run_folder_is_never_overwritten(play: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    with pytest.raises(UsageError, match=r"no run at .* to resume"):
+        train(config(play), out, resume=True)
+    train(config(play, steps=1), out)
+    with pytest.raises(UsageError, match=r"is there already.*--resume"):
+        train(config(play), out)
+    with pytest.raises(UsageError, match="another lr, seed: give the same config"):
+        train(config(play, lr=0.1, seed=3), out, resume=True)
+    train(config(play, steps=2), out, resume=True)  # more of the same is no other run
+    assert metrics(out)[-1]["step"] == 2
+
+
+def test_a_store_without_the_cameras_is_refused_with_the_command_that_draws_them(tmp_path: Path) -> None:
+    make_store(tmp_path / "blind", np.random.default_rng(0), episodes=2, steps=60)
+    with pytest.raises(UsageError, match=r"no images of front, wrist; `playlearn render .*blind OUT --camera front="):
+        train(config(tmp_path / "blind", "cnn"), tmp_path / "run")
+    with pytest.raises(StoreError):
+        train(config(tmp_path / "nowhere"), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_torn_checkpoint_is_one_message(play: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    train(config(play), out)
+    file = out / "checkpoint" / "last.safetensors"
+    file.write_bytes(file.read_bytes()[:1000])
+    with pytest.raises(CheckpointError, match="cannot be read"):
+        train(config(play, steps=6), out, resume=True)
+
+
+@pytest.mark.parametrize("field", ["batch_size", "steps", "lr", "max_minutes", "ema_decay"])
+def test_numbers_out_of_range_name_their_field(field: str, play: Path) -> None:
+    with pytest.raises(UsageError, match=field):
+        config(play, **{field: -1})
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
+def test_every_config_in_the_repository_is_valid(path: Path) -> None:
+    settings = load_config(TrainConfig, path)
+    assert settings == dataclasses.replace(settings)
+    assert settings.resolved().data.chunk == settings.policy.chunk
