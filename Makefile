@@ -1,6 +1,6 @@
 # Everything starts from `make demo` or `make test`; each sets up what is missing first.
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check format lock clean
+.PHONY: help setup demo test coverage check format lock clean
 SHELL := /bin/sh
 
 DEMO ?= runs/demo
@@ -10,7 +10,7 @@ PY := .venv/bin/python
 ONE_THREAD := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 LP_NUM_THREADS=1
 
 help: ## say what can be made
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-7s %s\n", $$1, $$2}' Makefile
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-9s %s\n", $$1, $$2}' Makefile
 
 setup: ## the environment from the lock file, and headless GL where that may be installed
 	@sh .ci/setup.sh
@@ -21,6 +21,9 @@ demo: ## collect play, train on it, reach goal images; leaves DEMO=runs/demo/eva
 
 test: setup ## the tests
 	@$(ONE_THREAD) $(PY) -m pytest $(PYTEST)
+
+coverage: setup ## the tests, and how much of playlearn/ they run
+	@$(ONE_THREAD) $(PY) -m pytest $(PYTEST) --cov --cov-report=term
 
 check: setup ## what CI checks beside the tests: format, lint, types, imports
 	@$(PY) -m ruff format --check .

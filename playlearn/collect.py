@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from playlearn.config import atomic_write, from_dict, git_revision, save_config, to_dict, versions
 from playlearn.errors import PlaylearnError, UsageError
-from playlearn.executor import ExecutorConfig, Job, LocalExecutorConfig
+from playlearn.executor import Job, LocalExecutorConfig
 from playlearn.rollout import rollout
 from playlearn.sim import CameraConfig, Environment, EnvironmentConfig, PlayTableConfig
 from playlearn.store import NativeStore, StoreSpec, write_episode
@@ -28,7 +28,7 @@ class CollectConfig:
 
     cameras: which of the environment's cameras to record; none is quickest, and `playlearn render`
     draws them later from the simulator states, which are always recorded.
-    seed: with an episode's number it decides everything in that episode. executor: where the work runs.
+    seed: with an episode's number it decides everything in that episode.
     """
 
     environment: EnvironmentConfig = field(default_factory=PlayTableConfig)
@@ -37,7 +37,6 @@ class CollectConfig:
     steps: int = 400
     cameras: tuple[str, ...] = ()
     seed: int = 0
-    executor: ExecutorConfig = field(default_factory=LocalExecutorConfig)
 
     def __post_init__(self) -> None:
         for name in ("episodes", "steps"):
@@ -54,7 +53,6 @@ def collect(config: CollectConfig, out: Path, *, workers: int | None = None, res
         UsageError: `out` was collected with another config; an unknown camera.
         StoreError: `out` holds something already and `resume` was not asked for; the disk is full.
     """
-    config = _with_workers(config, workers)
     environment = _environment(json.dumps(_kind(config.environment)))
     unknown = sorted(set(config.cameras) - set(environment.spec.cameras))
     if unknown:
@@ -74,7 +72,7 @@ def collect(config: CollectConfig, out: Path, *, workers: int | None = None, res
             )
             for index in missing
         ]
-        _run(config, jobs, f"collect {out}")
+        _run(jobs, f"collect {out}", environment.spec.fps, workers)
 
 
 def record(settings: str, folder: str, index: int) -> tuple[int, str]:
@@ -156,7 +154,8 @@ def _open(config: CollectConfig, environment: Environment, out: Path, resume: bo
                     f"{out} was collected with another {', '.join(changed)}: give the same, or another --out"
                 )
         return NativeStore.open(out)
-    sizes = {name: environment.observe((name,)).images[name].shape[:2] for name in config.cameras}
+    seen = environment.observe(config.cameras).images
+    sizes = {name: (int(image.shape[0]), int(image.shape[1])) for name, image in seen.items()}
     spec = StoreSpec(
         environment=_kind(config.environment),
         state_names=environment.spec.state_names,
@@ -172,10 +171,10 @@ def _open(config: CollectConfig, environment: Environment, out: Path, resume: bo
     return store
 
 
-def _run(config: CollectConfig, jobs: Sequence[Job], title: str) -> None:
-    steps, fps, began = 0, 20.0, time.perf_counter()
+def _run(jobs: Sequence[Job], title: str, fps: float, workers: int | None) -> None:
+    steps, began = 0, time.perf_counter()
     ended: dict[str, int] = {}
-    with config.executor.build() as executor:
+    with LocalExecutorConfig(workers=workers).build() as executor:
         for result in _progress(executor.run(jobs), len(jobs), title):
             steps += result.value[0]
             ended[result.value[1]] = ended.get(result.value[1], 0) + 1
@@ -205,19 +204,13 @@ def _progress(results: Iterable[Any], total: int, title: str) -> Iterable[Any]:
 
 
 def _settings(config: CollectConfig) -> dict[str, Any]:
-    """What decides the episodes; how many there are and who records them does not."""
+    """What decides the episodes; how many there are does not."""
     settings = to_dict(config)
-    return {key: value for key, value in settings.items() if key not in ("episodes", "executor")}
+    return {key: value for key, value in settings.items() if key != "episodes"}
 
 
 def _kind(config: EnvironmentConfig) -> dict[str, Any]:
     return {"type": config.get_choice_name(type(config)), **to_dict(config)}
-
-
-def _with_workers(config: CollectConfig, workers: int | None) -> CollectConfig:
-    if workers is None or not dataclasses.is_dataclass(config.executor) or not hasattr(config.executor, "workers"):
-        return config
-    return dataclasses.replace(config, executor=dataclasses.replace(config.executor, workers=workers))
 
 
 @functools.cache

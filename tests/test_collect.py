@@ -8,7 +8,6 @@ import pytest
 
 from playlearn.collect import CollectConfig, collect, render_store
 from playlearn.errors import RenderError, StoreError, UsageError
-from playlearn.executor import LocalExecutorConfig
 from playlearn.sim import CameraConfig, PlayTableConfig
 from playlearn.store import NativeStore
 
@@ -16,7 +15,6 @@ SMALL = CollectConfig(
     environment=PlayTableConfig(cameras={"front": CameraConfig(32, 48), "wrist": CameraConfig(24, 24)}),
     episodes=3,
     steps=12,
-    executor=LocalExecutorConfig(workers=0),
 )
 
 
@@ -30,19 +28,19 @@ def same(a: NativeStore, b: NativeStore) -> None:
 
 
 def test_resumed_in_pieces_and_by_other_workers_gives_the_same_store(tmp_path: Path) -> None:
-    collect(SMALL, tmp_path / "whole")
-    collect(dataclasses.replace(SMALL, episodes=1), tmp_path / "pieces")
-    collect(dataclasses.replace(SMALL, executor=LocalExecutorConfig(workers=2)), tmp_path / "pieces", resume=True)
+    collect(SMALL, tmp_path / "whole", workers=0)
+    collect(dataclasses.replace(SMALL, episodes=1), tmp_path / "pieces", workers=0)
+    collect(SMALL, tmp_path / "pieces", workers=2, resume=True)
     same(NativeStore.open(tmp_path / "whole"), NativeStore.open(tmp_path / "pieces"))
 
 
 def test_images_drawn_afterwards_equal_those_drawn_live(tmp_path: Path) -> None:
     live = dataclasses.replace(SMALL, episodes=1, cameras=("front", "wrist"))
     try:
-        collect(live, tmp_path / "live")
+        collect(live, tmp_path / "live", workers=0)
     except RenderError as error:
         pytest.skip(str(error))
-    collect(dataclasses.replace(SMALL, episodes=1), tmp_path / "blind")
+    collect(dataclasses.replace(SMALL, episodes=1), tmp_path / "blind", workers=0)
     sizes = {"front": CameraConfig(32, 48), "wrist": CameraConfig(24, 24)}
     render_store(tmp_path / "blind", tmp_path / "drawn", sizes, workers=0)
     same(NativeStore.open(tmp_path / "live"), NativeStore.open(tmp_path / "drawn"))
@@ -52,14 +50,14 @@ def test_images_drawn_afterwards_equal_those_drawn_live(tmp_path: Path) -> None:
 
 def test_what_is_there_is_not_overwritten(tmp_path: Path) -> None:
     config = dataclasses.replace(SMALL, episodes=1)
-    collect(config, tmp_path / "play")
+    collect(config, tmp_path / "play", workers=0)
     with pytest.raises(StoreError, match="--resume"):
-        collect(config, tmp_path / "play")
+        collect(config, tmp_path / "play", workers=0)
     with pytest.raises(UsageError, match="another seed"):
         collect(dataclasses.replace(config, seed=1), tmp_path / "play", resume=True)
 
 
 def test_an_unknown_camera_is_named_before_anything_is_made(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="'side'.*front"):
+    with pytest.raises(UsageError, match=r"'side'.*front"):
         collect(dataclasses.replace(SMALL, cameras=("side",)), tmp_path / "play")
     assert not (tmp_path / "play").exists()

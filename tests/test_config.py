@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import draccus
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from playlearn.config import atomic_write, from_dict, git_revision, load_config, save_config, to_dict, versions
@@ -83,16 +83,21 @@ runs = st.builds(
     name=words,
 )
 
+# How long an example takes says nothing about a config, only about what else the machine does.
+any_speed = settings(deadline=None, max_examples=50, suppress_health_check=[HealthCheck.too_slow])
+
 
 def load(*overrides: str) -> RunConfig:
     return load_config(RunConfig, None, ["--store", "s", *overrides])
 
 
+@any_speed
 @given(runs)
 def test_dict_and_json_hold_the_whole_config(run: RunConfig) -> None:
     assert from_dict(RunConfig, json.loads(json.dumps(to_dict(run)))) == run
 
 
+@any_speed
 @given(run=runs)
 def test_a_saved_config_is_read_back(run: RunConfig, tmp_path_factory: pytest.TempPathFactory) -> None:
     path = tmp_path_factory.mktemp("config") / "config.yaml"

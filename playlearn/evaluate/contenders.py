@@ -127,7 +127,7 @@ def _check_controller(trained: Mapping[str, Any], here: Mapping[str, Any]) -> No
     for name in sorted(mine.keys() & its.keys()):
         if mine[name] != its[name]:
             raise CheckpointError(
-                f"the policy was trained with controller {name} {mine[name]}, this suite's environment has {its[name]}: "
+                f"the policy learned with controller {name} {mine[name]}, this suite's environment has {its[name]}; "
                 "evaluate it on a suite of its own environment"
             )
 

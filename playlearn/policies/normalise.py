@@ -23,13 +23,17 @@ class Normaliser(nn.Module):
     """Per-dimension (x - mean) / std for `state`, `achieved` and `action`.
 
     A dimension that hardly varies in the data (std below `floor`) is only shifted: dividing by
-    a tiny spread would blow rounding noise up to the size of a signal.
+    a tiny spread would blow rounding noise up to the size of a signal. Actions all lie in [-1, 1], so
+    their spreads compare: one that is hardly used (the tilt of a hand that is kept upright) counts as
+    having at least `action_share` of the largest, or it would get as much say in the loss as the rest.
     """
 
-    def __init__(self, statistics: Mapping[str, Statistics], floor: float = 1e-4) -> None:
+    def __init__(self, statistics: Mapping[str, Statistics], floor: float = 1e-4, action_share: float = 0.25) -> None:
         super().__init__()
         for name, given in statistics.items():
             std = torch.as_tensor(given.std, dtype=torch.float32).clone()
+            if name == "action":
+                std = std.clamp_min(action_share * std.max())
             self.register_buffer(f"{name}_mean", torch.as_tensor(given.mean, dtype=torch.float32).clone())
             self.register_buffer(f"{name}_std", torch.where(std < floor, torch.ones_like(std), std))
 

@@ -61,9 +61,11 @@ class Environment(Protocol):
     `config` builds it again; `spec` names its indices; `tasks` are the named tasks it can judge.
     """
 
-    config: EnvironmentConfig
     spec: EnvironmentSpec
     tasks: Mapping[str, Task]
+
+    @property
+    def config(self) -> EnvironmentConfig: ...
 
     def reset(self, seed: int) -> None:
         """Draw a random, collision-free start state; the same seed gives the same one."""

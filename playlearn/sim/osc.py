@@ -45,7 +45,8 @@ def osc_torques(
     )
     inertia = np.linalg.pinv(inertia_inverse)
     nullspace = np.eye(joints) - (half.T @ inertia) @ jacobian  # (n, n)
-    return jacobian.T @ wrench + bias + nullspace.T @ posture
+    torques: Array = jacobian.T @ wrench + bias + nullspace.T @ posture
+    return torques
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]

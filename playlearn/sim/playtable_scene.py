@@ -71,6 +71,7 @@ def _drawer() -> str:
     )
     post_x, post_y = POST_XY[0] - x, POST_XY[1] - y
     height = (POST_TOP - TABLE_Z) / 2
+    post_size, post_at = f"{POST_RADIUS} {height}", f"{post_x} {post_y} {height + 0.001}"
     tray = "".join(
         (
             _box("tray_floor", (hx, hy, 0.003), (0, 0, 0.005), wood, 0.1),
@@ -78,10 +79,12 @@ def _drawer() -> str:
             _box("tray_right", (0.004, hy, 0.018), (hx, 0, 0.020), wood),
             _box("tray_back", (hx, 0.004, 0.018), (0, hy, 0.020), wood),
             _box("tray_front", (hx + 0.004, 0.004, 0.022), (0, -hy, 0.024), wood),
-            f'<geom name="tray_post" type="cylinder" size="{POST_RADIUS} {height}" pos="{post_x} {post_y} {height + 0.001}"'
-            f' group="0" friction="1.5 0.05 0.001" condim="4" mass="0.05"/>'
-            f'<geom name="tray_post_visual" type="cylinder" size="{POST_RADIUS} {height}"'
-            f' pos="{post_x} {post_y} {height + 0.001}" rgba="{steel}" {_VISUAL}/>',
+            (
+                f'<geom name="tray_post" type="cylinder" size="{post_size}" pos="{post_at}" group="0"'
+                ' friction="1.5 0.05 0.001" condim="4" mass="0.05"/>'
+                f'<geom name="tray_post_visual" type="cylinder" size="{post_size}" pos="{post_at}"'
+                f' rgba="{steel}" {_VISUAL}/>'
+            ),
         )
     )
     return f"""

@@ -1,6 +1,7 @@
 """The named tasks of PlayTable: where each starts, what it asks for, and how it is judged."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -68,119 +69,146 @@ def playtable_tasks() -> Mapping[str, Task]:
     """Name -> task, in the order that reports use."""
     tasks: dict[str, Task] = {}
     for index, name in enumerate(BLOCK_NAMES):
-        for task in _of_block(index, name):
+        for task in _BlockTasks(index, name).tasks():
             tasks[task.name] = task
     for task in (*_of_drawer(), *_of_lamp()):
         tasks[task.name] = task
     return MappingProxyType(tasks)
 
 
-def _of_block(index: int, name: str) -> tuple[Task, ...]:
-    others = [i for i in range(len(BLOCK_NAMES)) if i != index]
+@dataclass(frozen=True)
+class _BlockTasks:
+    """The seven tasks of one block."""
 
-    def lying(achieved: Array) -> bool:
-        return on_table(achieved, index) and clear(achieved, index)
+    index: int
+    name: str
 
-    def moved(achieved: Array, **parts: Any) -> Array:
-        goal = achieved.copy()
-        pose = block(goal, index)
-        if "xy" in parts:
-            pose[:2] = parts["xy"]
-        pose[2] = parts.get("z", pose[2])
-        yaw = parts.get("yaw", direction(pose))
-        pose[3:] = (np.cos(2 * yaw), np.sin(2 * yaw))
-        return goal
+    def tasks(self) -> tuple[Task, ...]:
+        name = self.name
+        return (
+            Task(f"lift_{name}", self.lying, _as_it_comes, self.lift, self.lifted),
+            Task(f"push_{name}", self.lying, _as_it_comes, self.push, self.at_goal),
+            Task(f"rotate_{name}", self.lying, _as_it_comes, self.rotate, self.turned),
+            Task(f"place_{name}", self.lying, _as_it_comes, self.place, self.at_goal),
+            Task(f"stow_{name}", self.can_stow, _opened, self.stow, self.stowed),
+            Task(f"stack_{name}", self.can_stack, _as_it_comes, self.stack, self.stacked),
+            Task(f"unstack_{name}", self.on_top, self.pile, self.place, self.unstacked),
+        )
 
-    def spot(achieved: Array, rng: np.random.Generator, nearest: float) -> Array:
-        rest = np.stack([block(achieved, i)[:2] for i in others])
-        here = block(achieved, index)[:2]
-        for _ in range(100):
-            place = free_spot(rest, rng)
-            if np.hypot(*(place - here)) > nearest:
-                break
-        return place
+    @property
+    def others(self) -> list[int]:
+        return [i for i in range(len(BLOCK_NAMES)) if i != self.index]
 
-    def lift(achieved: Array, rng: np.random.Generator) -> Array:
-        return moved(achieved, z=block(achieved, index)[2] + rng.uniform(0.09, 0.13))
+    # Where a task can start -------------------------------------------------------------------------
 
-    def push(achieved: Array, rng: np.random.Generator) -> Array:
-        pose = block(achieved, index)
-        rest = np.stack([block(achieved, i)[:2] for i in others])
+    def lying(self, achieved: Array) -> bool:
+        return on_table(achieved, self.index) and clear(achieved, self.index)
+
+    def can_stow(self, achieved: Array) -> bool:
+        return bool(self.lying(achieved) and achieved[DRAWER] > OPEN)
+
+    def can_stack(self, achieved: Array) -> bool:
+        return self.lying(achieved) and bool(self._bases(achieved))
+
+    def on_top(self, achieved: Array) -> bool:
+        return supporter(achieved, self.index) is not None and clear(achieved, self.index)
+
+    def pile(self, env: Any, rng: np.random.Generator) -> None:
+        env.stack(self.index, int(rng.choice(self.others)), rng)
+        env.refresh()
+
+    # What it asks for -------------------------------------------------------------------------------
+
+    def lift(self, achieved: Array, rng: np.random.Generator) -> Array:
+        return self._moved(achieved, z=block(achieved, self.index)[2] + rng.uniform(0.09, 0.13))
+
+    def push(self, achieved: Array, rng: np.random.Generator) -> Array:
+        """Across its long side, as far as there is room; the goal is `achieved` itself where there is none."""
+        pose = block(achieved, self.index)
+        rest = np.stack([block(achieved, i)[:2] for i in self.others])
         across = direction(pose) + np.pi / 2
         for _ in range(50):
             way = rng.choice([-1.0, 1.0]) * np.array([np.cos(across), np.sin(across)])
             place = pose[:2] + way * rng.uniform(0.06, 0.10)
             inside = FREE_X[0] <= place[0] <= FREE_X[1] and FREE_Y[0] <= place[1] <= FREE_Y[1]
             if inside and (np.hypot(*(rest - place).T) > 0.075).all():
-                return moved(achieved, xy=place)
+                return self._moved(achieved, xy=place)
         return achieved.copy()
 
-    def rotate(achieved: Array, rng: np.random.Generator) -> Array:
-        yaw = direction(block(achieved, index))
+    def rotate(self, achieved: Array, rng: np.random.Generator) -> Array:
+        yaw = direction(block(achieved, self.index))
         turns = [turn for turn in rng.uniform(0.7, 1.2, 2) * (1, -1) if abs(yaw + turn) < 1.25]
-        return moved(achieved, yaw=yaw + (turns[0] if len(turns) == 1 else rng.choice(turns or [0.0])))
+        return self._moved(achieved, yaw=yaw + (turns[0] if len(turns) == 1 else rng.choice(turns or [0.0])))
 
-    def place(achieved: Array, rng: np.random.Generator) -> Array:
-        return moved(achieved, xy=spot(achieved, rng, 0.12), z=LYING_Z)
+    def place(self, achieved: Array, rng: np.random.Generator) -> Array:
+        """Lying on the table, at least 12 cm from where it is now."""
+        rest = np.stack([block(achieved, i)[:2] for i in self.others])
+        here = block(achieved, self.index)[:2]
+        for _ in range(100):
+            spot = free_spot(rest, rng)
+            if np.hypot(*(spot - here)) > 0.12:
+                break
+        return self._moved(achieved, xy=spot, z=LYING_Z)
 
-    def stow(achieved: Array, rng: np.random.Generator) -> Array:
+    def stow(self, achieved: Array, rng: np.random.Generator) -> Array:
         xy = scene.tray_centre(float(achieved[DRAWER])) + rng.uniform((-0.05, -0.012), (-0.01, 0.012))
-        return moved(achieved, xy=xy, z=scene.TRAY_FLOOR + 0.02, yaw=0.0)
+        return self._moved(achieved, xy=xy, z=scene.TRAY_FLOOR + 0.02, yaw=0.0)
 
-    def stack(achieved: Array, rng: np.random.Generator) -> Array:
-        free = [i for i in others if clear(achieved, i) and on_table(achieved, i)]
-        under = block(achieved, int(rng.choice(free or others)))
-        return moved(achieved, xy=under[:2], z=under[2] + 0.04, yaw=direction(under))
+    def stack(self, achieved: Array, rng: np.random.Generator) -> Array:
+        under = block(achieved, int(rng.choice(self._bases(achieved) or self.others)))
+        return self._moved(achieved, xy=under[:2], z=under[2] + 0.04, yaw=direction(under))
 
-    def can_stack(achieved: Array) -> bool:
-        return lying(achieved) and any(clear(achieved, i) and on_table(achieved, i) for i in others)
+    # How it is judged -------------------------------------------------------------------------------
 
-    def on_top(achieved: Array) -> bool:
-        return supporter(achieved, index) is not None and clear(achieved, index)
+    def at_goal(self, start: Array, achieved: Array, goal: Array) -> bool:
+        return self._distance(achieved, goal) < NEAR and on_table(achieved, self.index)
 
-    def distance(achieved: Array, goal: Array) -> float:
-        return float(np.hypot(*(block(achieved, index)[:2] - block(goal, index)[:2])))
-
-    def at_goal(start: Array, achieved: Array, goal: Array) -> bool:
-        return distance(achieved, goal) < NEAR and on_table(achieved, index)
-
-    def turned(start: Array, achieved: Array, goal: Array) -> bool:
-        off = direction(block(achieved, index)) - direction(block(goal, index))
+    def turned(self, start: Array, achieved: Array, goal: Array) -> bool:
+        off = direction(block(achieved, self.index)) - direction(block(goal, self.index))
         off = (off + np.pi / 2) % np.pi - np.pi / 2
-        return bool(abs(off) < np.deg2rad(20) and distance(achieved, goal) < 0.05)
+        return bool(abs(off) < np.deg2rad(20) and self._distance(achieved, goal) < 0.05)
 
-    def lifted(start: Array, achieved: Array, goal: Array) -> bool:
-        return bool(block(achieved, index)[2] > block(start, index)[2] + 0.04)
+    def lifted(self, start: Array, achieved: Array, goal: Array) -> bool:
+        return bool(block(achieved, self.index)[2] > block(start, self.index)[2] + 0.04)
 
-    def stacked(start: Array, achieved: Array, goal: Array) -> bool:
-        return supporter(achieved, index) is not None and supporter(achieved, index) == supporter(goal, index)
+    def stowed(self, start: Array, achieved: Array, goal: Array) -> bool:
+        return in_tray(achieved, self.index)
 
-    def close_by(achieved: Array) -> bool:
-        return bool(np.isfinite(achieved).all()) and lying(achieved)
+    def stacked(self, start: Array, achieved: Array, goal: Array) -> bool:
+        base = supporter(achieved, self.index)
+        return base is not None and base == supporter(goal, self.index)
 
-    def loose(env: Any, rng: np.random.Generator) -> None:
-        """Nothing to bring about: most random starts suit."""
+    def unstacked(self, start: Array, achieved: Array, goal: Array) -> bool:
+        return on_table(achieved, self.index)
 
-    def pile(env: Any, rng: np.random.Generator) -> None:
-        env.stack(index, int(rng.choice(others)), rng)
-        env.refresh()
+    def _bases(self, achieved: Array) -> list[int]:
+        """The blocks that this one could be stacked on."""
+        return [i for i in self.others if clear(achieved, i) and on_table(achieved, i)]
 
-    def opened(env: Any, rng: np.random.Generator) -> None:
-        env.slide_drawer(scene.DRAWER_TRAVEL - rng.uniform(0, 0.02))
-        env.refresh()
+    def _distance(self, achieved: Array, goal: Array) -> float:
+        return float(np.hypot(*(block(achieved, self.index)[:2] - block(goal, self.index)[:2])))
 
-    def open_and_lying(achieved: Array) -> bool:
-        return bool(lying(achieved) and achieved[DRAWER] > OPEN)
+    def _moved(
+        self, achieved: Array, xy: Array | None = None, z: float | None = None, yaw: float | None = None
+    ) -> Array:
+        goal = achieved.copy()
+        pose = block(goal, self.index)
+        if xy is not None:
+            pose[:2] = xy
+        if z is not None:
+            pose[2] = z
+        if yaw is not None:
+            pose[3:] = (np.cos(2 * yaw), np.sin(2 * yaw))
+        return goal
 
-    return (
-        Task(f"lift_{name}", lying, loose, lift, lifted),
-        Task(f"push_{name}", close_by, loose, push, at_goal),
-        Task(f"rotate_{name}", lying, loose, rotate, turned),
-        Task(f"place_{name}", lying, loose, place, at_goal),
-        Task(f"stow_{name}", open_and_lying, opened, stow, lambda start, achieved, goal: in_tray(achieved, index)),
-        Task(f"stack_{name}", can_stack, loose, stack, stacked),
-        Task(f"unstack_{name}", on_top, pile, place, lambda start, achieved, goal: on_table(achieved, index)),
-    )
+
+def _as_it_comes(env: Any, rng: np.random.Generator) -> None:
+    """Nothing to bring about: most random starts suit."""
+
+
+def _opened(env: Any, rng: np.random.Generator) -> None:
+    env.slide_drawer(scene.DRAWER_TRAVEL - rng.uniform(0, 0.02))
+    env.refresh()
 
 
 def _of_drawer() -> tuple[Task, ...]:

@@ -81,7 +81,7 @@ class RobosuiteWorld:
         self._gripper_centre, self._gripper_half = limits.mean(1), (limits[:, 1] - limits[:, 0]) / 2
         fingers = self._gripper_model.important_geoms
         self._fingers = (self._geom_id(fingers["left_fingerpad"][0]), self._geom_id(fingers["right_fingerpad"][0]))
-        self._gripper = np.zeros(len(self._gripper_ctrl))
+        self._gripper: Array = np.zeros(len(self._gripper_ctrl))
         self._jacobian = np.zeros((6, self.model.nv))
         self._mass = np.zeros((self.model.nv, self.model.nv))
         self._position, self._rotation = np.zeros(3), np.eye(3)
@@ -96,6 +96,7 @@ class RobosuiteWorld:
             fps=float(robosuite_env.control_freq),
             controller={
                 "type": "OSC_POSE",
+                "robot": type(robot.robot_model).__name__,
                 "kp": self._kp.tolist(),
                 "kd": self._kd.tolist(),
                 "output_max": (self._scale).tolist(),
@@ -253,7 +254,9 @@ class RobosuiteWorld:
             data.qvel[self._arm_qvel],
             self._rest,
         )
-        return np.clip(torques, self._torque_range[:, 0], self._torque_range[:, 1])
+        low, high = self._torque_range.T
+        clipped: Array = np.clip(torques, low, high)
+        return clipped
 
     def _check_physics(self, before: float) -> None:
         data = self.data

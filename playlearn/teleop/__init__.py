@@ -1,5 +1,7 @@
 """Who drives: skills, unstructured play, and the expert that can be asked for an action in any state."""
 
+from collections.abc import Mapping
+
 from playlearn.episode import Array
 from playlearn.errors import UsageError
 from playlearn.sim.environment import Environment
@@ -20,7 +22,7 @@ def player_for(environment: Environment, config: PlayConfig) -> PlayTablePlayer:
     return _PLAYERS[_kind(environment, _PLAYERS)](config)
 
 
-def _kind(environment: Environment, known: dict[str, type]) -> str:
+def _kind(environment: Environment, known: Mapping[str, type]) -> str:
     config = environment.config
     kind = config.get_choice_name(type(config))
     if kind not in known:

@@ -52,12 +52,13 @@ class Hand:
         wanted = np.stack([finger, [finger[1], -finger[0], 0.0], [0.0, 0.0, -1.0]], axis=1)
         turn = 0.5 * np.cross(self.rotation.T, wanted.T).sum(axis=0)
         if (np.trace(wanted @ self.rotation.T) - 1) / 2 < 0:  # beyond a quarter turn the sine shrinks again
-            turn /= max(np.linalg.norm(turn), 1e-6)
+            turn /= max(float(np.linalg.norm(turn)), 1e-6)
         shift = (target - self.position) / STEP
-        reach = np.linalg.norm(shift)
+        reach = float(np.linalg.norm(shift))
         shift = shift * min(1.0, 1.0 / max(reach, 1e-9)) * speed
         turn = np.clip(turn / TURN, -0.8, 0.8) * speed
-        return np.concatenate([shift, turn, [grip]]).clip(-1, 1)
+        action: Array = np.concatenate([shift, turn, [grip]]).clip(-1, 1)
+        return action
 
     def yaw_error(self, yaw: float) -> float:
         """How far the finger axis is from `yaw`, rad in [0, pi / 2]."""

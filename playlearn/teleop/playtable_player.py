@@ -103,37 +103,36 @@ class _Player:
 
     def act(self, seen: Observation) -> Decision:
         hand, achieved = Hand.seen(seen), seen.achieved
-        if self.skill is None or self._over(hand, achieved):
-            self._begin(hand, achieved)
         skill = self.skill
-        assert skill is not None
+        if skill is None or self._over(skill, hand, achieved):
+            skill = self._begin(hand, achieved)
         self.steps += 1
         label = skill.act(hand, achieved, self.style)
         action = self._executed(hand, achieved, label, skill)
         return Decision(action, label, skill.name)
 
-    def _over(self, hand: Hand, achieved: Array) -> bool:
-        assert self.skill is not None
+    def _over(self, skill: Skill, hand: Hand, achieved: Array) -> bool:
         if self.steps > _PATIENCE:
             return True
-        if self.holding > 0 and self.skill.done(hand, achieved):
+        if self.holding > 0 and skill.done(hand, achieved):
             self.holding -= 1
             return self.holding == 0
-        return self.holding == 0 and self.skill.done(hand, achieved)
+        return self.holding == 0 and skill.done(hand, achieved)
 
-    def _begin(self, hand: Hand, achieved: Array) -> None:
+    def _begin(self, hand: Hand, achieved: Array) -> Skill:
         config, rng = self.config, self.rng
         self.style = Style(rng.uniform(*config.speed), rng.uniform(*config.approach), rng.uniform(*config.carry))
-        self.skill = self._next(hand, achieved)
+        skill = self.skill = self._next(hand, achieved)
         self.steps = 0
         self.pausing = int(rng.integers(4, 14)) if rng.random() < config.pause else 0
-        lifting = isinstance(self.skill, Carry) and not self.skill.release
+        lifting = isinstance(skill, Carry) and not skill.release
         self.holding = int(rng.integers(*_HOLD)) if lifting else 0
         self.misjudged = int(rng.integers(*_OFFSET_STEPS)) if rng.random() < config.mistake else 0
         angle = rng.uniform(-np.pi, np.pi)
         self.offset = rng.uniform(0.03, 0.055) * np.array([np.cos(angle), np.sin(angle)])
         self.slip_at = scene.TABLE_Z + rng.uniform(0.05, 0.12) if rng.random() < config.slip else 0.0
         self.slipping = 0
+        return skill
 
     def _next(self, hand: Hand, achieved: Array) -> Skill:
         held = [i for i in range(len(BLOCK_NAMES)) if holding(hand, achieved, i)]

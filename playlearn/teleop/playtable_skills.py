@@ -22,7 +22,8 @@ TIP = 0.005  # metres from the grip site down to where the fingers touch
 class Skill(Protocol):
     """One thing a teleoperator does. name: the annotation that is recorded."""
 
-    name: str
+    @property
+    def name(self) -> str: ...
 
     def act(self, hand: Hand, achieved: Array, style: Style) -> Array: ...
 
@@ -67,21 +68,21 @@ class Carry:
         return bool(near and abs(off) < 0.25)
 
     def _fetch(self, hand: Hand, here: Array, yaw: float, stowed: bool, style: Style) -> Array:
-        grip = here + (0.0, 0.0, 0.012 if stowed else 0.0)
+        grip = here + _up(0.012 if stowed else 0.0)
         wanted = yaw + np.pi / 2
         off = np.hypot(*(hand.position - grip)[:2])
         turn = hand.yaw_error(wanted)
         rise = 4.0 * max(0.0, off - 0.008) + 0.15 * max(0.0, turn - 0.12)
         above = min(_clearance(here, style.approach), rise)
         down = abs(hand.position[2] - grip[2]) < 0.012 and off < 0.014 and turn < 0.22
-        at_height = grip + (0.0, 0.0, above)
+        at_height = grip + _up(above)
         if hand.position[2] < at_height[2] - 0.02:  # rise before moving sideways, or a block is knocked over
             at_height[:2] = hand.position[:2] + 0.3 * (at_height - hand.position)[:2]
         return hand.move(at_height, wanted, CLOSE if down else OPEN, style.speed)
 
     def _bring(self, hand: Hand, here: Array, target: Array, yaw: float, style: Style) -> Array:
         stowing = target[1] > 0.08 and target[2] < scene.TABLE_Z + 0.05
-        goal = target + (0.0, 0.0, 0.010 if stowing else 0.002)
+        goal = target + _up(0.01 if stowing else 0.002)
         off = np.hypot(*(goal - here)[:2])
         turn = (self.yaw - yaw + np.pi / 2) % np.pi - np.pi / 2
         high = max(_clearance(target, style.carry), _clearance(here, style.carry))
@@ -89,13 +90,13 @@ class Carry:
         placed = off < 0.014 and abs(turn) < 0.18 and abs(here[2] - goal[2]) < 0.009
         if self.release and placed:
             return hand.move(hand.position, self.yaw + np.pi / 2, OPEN, style.speed)
-        wanted = hand.position + goal + (0.0, 0.0, above) - here
+        wanted = hand.position + goal + _up(above) - here
         if wanted[2] > hand.position[2] + 0.02:
             wanted[:2] = hand.position[:2] + 0.15 * (wanted - hand.position)[:2]
         return hand.move(wanted, self.yaw + np.pi / 2, CLOSE, style.speed)
 
     def _leave(self, hand: Hand, style: Style) -> Array:
-        up = hand.position + (0.0, 0.0, 0.08 if hand.opening > 0.05 else 0.0)
+        up = hand.position + _up(0.08 if hand.opening > 0.05 else 0.0)
         return hand.move(up, hand.yaw, OPEN, style.speed)
 
 
@@ -149,20 +150,21 @@ class Slide:
         held = 0.010 < hand.opening < 0.034 and off < 0.02 and level
         left = self.opening - now
         if held and abs(left) > 0.006:
-            return hand.move(post - (0.0, left + np.sign(left) * 0.01, 0.0), REST_YAW, CLOSE, style.speed)
+            ahead = np.array([0.0, left + np.sign(left) * 0.01, 0.0])
+            return hand.move(post - ahead, REST_YAW, CLOSE, style.speed)
         if held or abs(left) <= 0.02:
-            up = hand.position + (0.0, 0.0, 0.08 if hand.opening > 0.036 else 0.0)
+            up = hand.position + _up(0.08 if hand.opening > 0.036 else 0.0)
             return hand.move(up, REST_YAW, OPEN, style.speed)
         turn = hand.yaw_error(REST_YAW)
         rise = 4.0 * max(0.0, off - 0.008) + 0.15 * max(0.0, turn - 0.12)
-        target = post + (0.0, 0.0, min(style.approach, rise))
+        target = post + _up(min(style.approach, rise))
         if hand.position[2] < target[2] - 0.02:
             target[:2] = hand.position[:2] + 0.2 * (target - hand.position)[:2]
         down = level and off < 0.014 and turn < 0.22
         return hand.move(target, REST_YAW, CLOSE if down else OPEN, style.speed)
 
     def done(self, hand: Hand, achieved: Array) -> bool:
-        return abs(achieved[DRAWER] - self.opening) <= 0.02 and hand.position[2] > POST_GRIP_Z + 0.05
+        return bool(abs(achieved[DRAWER] - self.opening) <= 0.02 and hand.position[2] > POST_GRIP_Z + 0.05)
 
 
 @dataclass(frozen=True)
@@ -202,3 +204,8 @@ class Reach:
 def _clearance(place: Array, height: float) -> float:
     """Height above `place` at which to travel: the drawer's post and roof stand in the way of low flight."""
     return max(height, 0.12) if place[1] > 0.06 else height
+
+
+def _up(height: float) -> Array:
+    """(3,) `height` metres upwards."""
+    return np.array([0.0, 0.0, height])

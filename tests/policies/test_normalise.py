@@ -29,6 +29,13 @@ def test_a_dimension_that_does_not_vary_is_only_shifted() -> None:
     assert normaliser.normalise("state", torch.tensor([2.001])).item() < 0.01
 
 
+def test_an_action_that_is_hardly_used_counts_as_a_quarter_of_the_largest_and_comes_back_whole() -> None:
+    normaliser = Normaliser({"action": Spread(np.zeros(3), np.array([0.4, 0.2, 0.01]))})
+    actions = torch.tensor([[0.4, 0.2, 0.01]])
+    torch.testing.assert_close(normaliser.normalise("action", actions), torch.tensor([[1.0, 1.0, 0.1]]))
+    torch.testing.assert_close(normaliser.restore("action", normaliser.normalise("action", actions)), actions)
+
+
 def test_the_average_is_the_recursion_written_out() -> None:
     """With decay d_n = min(0.5, (1 + n) / (10 + n)): e_0 = w_0, e_n = d_n e_{n-1} + (1 - d_n) w_n."""
     model = nn.Linear(1, 1, bias=False)

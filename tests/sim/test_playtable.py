@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from playlearn.errors import ActionError, SimulationDiverged, UsageError
-from playlearn.sim import PlayTableConfig
+from playlearn.sim import CameraConfig, PlayTableConfig
 from playlearn.sim import playtable_scene as scene
 from playlearn.sim.playtable import PlayTableWorld
 from playlearn.sim.playtable_tasks import BLOCK_NAMES, DRAWER, LAMP, block, in_tray, on_table, supporter
@@ -90,7 +90,7 @@ def test_a_diverged_simulation_is_told_and_can_be_left(world: PlayTableWorld) ->
     world.reset(0)
     good = world.sim_state()
     world.data.qvel[:] = 1e12
-    with pytest.raises(SimulationDiverged, match="diverged|gave up"):
+    with pytest.raises(SimulationDiverged, match=r"diverged|gave up"):
         world.step(np.zeros(7))
     world.set_state(good)
     world.step(np.zeros(7))
@@ -186,11 +186,9 @@ def test_other_robots_play_at_the_same_table() -> None:
 
 
 def test_an_unknown_robot_or_camera_is_named() -> None:
-    with pytest.raises(UsageError, match="Pander.*Panda"):
+    with pytest.raises(UsageError, match=r"Pander.*Panda"):
         PlayTableConfig(robot="Pander").build()
-    with pytest.raises(UsageError, match="Baxter.*one arm"):
+    with pytest.raises(UsageError, match=r"Baxter.*one arm"):
         PlayTableConfig(robot="Baxter").build()
-    from playlearn.sim import CameraConfig
-
-    with pytest.raises(UsageError, match="side.*front"):
+    with pytest.raises(UsageError, match=r"side.*front"):
         PlayTableConfig(cameras={"side": CameraConfig()}).build()

@@ -173,7 +173,7 @@ def test_lerobot_train_takes_it_unmodified(exported: Path, tmp_path: Path) -> No
         capture_output=True,
         text=True,
         check=False,
-        timeout=300,
+        timeout=600,
     )
     assert done.returncode == 0, done.stderr[-2000:]
     losses = [float(value) for value in re.findall(r"loss:([\d.]+) grdn", done.stderr + done.stdout)]

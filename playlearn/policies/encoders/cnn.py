@@ -14,11 +14,15 @@ from playlearn.policies.encoders.image import ImageConfig, channels_last
 @EncoderConfig.register_subclass("cnn")
 @dataclass(frozen=True)
 class CNNConfig(ImageConfig):
-    """channels, kernels, strides: one of each a layer. pool: how the last map becomes a vector."""
+    """channels, kernels, strides: one of each a layer. pool: how the last map becomes a vector.
 
-    channels: tuple[int, ...] = (32, 32, 64, 64)
-    kernels: tuple[int, ...] = (5, 3, 3, 3)
-    strides: tuple[int, ...] = (2, 2, 2, 2)
+    The default reads large patches and keeps a fine map: for the same seconds on a CPU it places objects
+    far better than more and narrower layers do.
+    """
+
+    channels: tuple[int, ...] = (32, 64)
+    kernels: tuple[int, ...] = (8, 3)
+    strides: tuple[int, ...] = (4, 2)
     pool: Literal["flatten", "spatial_softmax"] = "flatten"
 
     def backbone(self, channels: int, size: tuple[int, int], *, fetch: bool) -> nn.Module:
@@ -52,6 +56,6 @@ class SpatialSoftmax(nn.Module):
 
 def _layers(config: CNNConfig, channels: int) -> Iterable[nn.Module]:
     for out, kernel, stride in zip(config.channels, config.kernels, config.strides, strict=True):
-        yield nn.Conv2d(channels, out, kernel, stride, kernel // 2)
+        yield nn.Conv2d(channels, out, kernel, stride, (kernel - stride + 1) // 2)
         yield nn.ReLU()
         channels = out

@@ -13,10 +13,15 @@ from playlearn.policies.inputs import Observed, PolicySpec
 @EncoderConfig.register_subclass("state")
 @dataclass(frozen=True)
 class StateConfig(EncoderConfig):
-    """hidden: units of the two-layer networks that make a token."""
+    """hidden: units of the two-layer networks that make a token.
+
+    noise: standard deviation of the noise on normalised numbers in training; play has few distinct goals,
+    and a network that knows them to the last digit learns each by heart.
+    """
 
     goal: ClassVar[Modality] = "state"
     hidden: int = 256
+    noise: float = 0.0
 
     def build(self, spec: PolicySpec, width: int, *, fetch: bool = True) -> "StateEncoder":
         return StateEncoder(self, spec, width)
@@ -30,11 +35,17 @@ class StateEncoder(Encoder):
 
     def __init__(self, config: StateConfig, spec: PolicySpec, width: int) -> None:
         super().__init__()
+        self.noise = config.noise
         self.numbers = NumberTokens(spec, config.goal_names, config.hidden, width)
 
     def forward(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
-        goal, steps = self.numbers(inputs.state, inputs.achieved, inputs.goal_achieved, keep)
-        return Tokens(goal=goal.unsqueeze(1), steps=steps.unsqueeze(2))
+        state, achieved, goal = inputs.state, inputs.achieved, inputs.goal_achieved
+        if generator is not None and self.noise > 0:
+            state, achieved, goal = (
+                n + self.noise * draw(n.shape, generator, n.device) for n in (state, achieved, goal)
+            )
+        goal_token, steps = self.numbers(state, achieved, goal, keep)
+        return Tokens(goal=goal_token.unsqueeze(1), steps=steps.unsqueeze(2))
 
 
 class NumberTokens(nn.Module):
@@ -62,6 +73,11 @@ class NumberTokens(nn.Module):
         difference = torch.where(keep[:, None, None], difference, self.null_difference)
         goal_token = torch.where(keep[:, None], self.goal(wanted), self.null_goal)
         return goal_token, self.step(torch.cat([state, achieved, difference], dim=-1))
+
+
+def draw(shape: torch.Size, generator: torch.Generator, device: torch.device) -> Tensor:
+    """Standard normal numbers, drawn where the generator lives."""
+    return torch.randn(shape, generator=generator, device=generator.device).to(device)
 
 
 def mlp(inputs: int, hidden: int, out: int) -> nn.Sequential:
