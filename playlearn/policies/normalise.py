@@ -51,6 +51,23 @@ class Normaliser(nn.Module):
         return cls({name: _Spread(np.zeros(n), np.ones(n)) for name, n in widths.items()})
 
 
+def pooled(statistics: Mapping[str, Statistics], names: Mapping[str, tuple[str, ...]]) -> dict[str, Statistics]:
+    """The same, with one mean and spread for all quantities that share a part name (`red.x`, `eef.x`).
+
+    Then a difference of two of them means the same distance, whichever two they are.
+    """
+    rows = [(array, i, name.rpartition(".")[2]) for array, own in names.items() for i, name in enumerate(own)]
+    made = {array: _Spread(np.array(given.mean), np.array(given.std)) for array, given in statistics.items()}
+    for part in dict.fromkeys(part for _, _, part in rows):
+        own = [(array, i) for array, i, other in rows if other == part]
+        means = np.array([statistics[array].mean[i] for array, i in own], float)
+        spreads = np.array([statistics[array].std[i] for array, i in own], float)
+        for array, i in own:
+            made[array].mean[i] = means.mean()
+            made[array].std[i] = np.sqrt((spreads**2 + (means - means.mean()) ** 2).mean())
+    return dict(made)
+
+
 class _Spread(NamedTuple):
     mean: Array
     std: Array

@@ -15,7 +15,7 @@ from playlearn.errors import CheckpointError, PlaylearnError, UsageError
 from playlearn.policies.encoders import EncoderConfig, StateConfig
 from playlearn.policies.heads import DeterministicConfig, Generators, Guidance, HeadConfig
 from playlearn.policies.inputs import Inputs, Labelled, Named, Observed, PolicySpec
-from playlearn.policies.normalise import Normaliser, Statistics
+from playlearn.policies.normalise import Normaliser, Statistics, pooled
 from playlearn.policies.trunks import TransformerConfig, TrunkConfig
 
 WEIGHTS, DESCRIPTION = "policy.safetensors", "policy.json"
@@ -68,7 +68,11 @@ class Policy(nn.Module):
             "achieved": len(spec.achieved_names),
             "action": len(spec.action_names),
         }
-        self.normaliser = Normaliser.identity(widths) if statistics is None else Normaliser(statistics)
+        if statistics is None:
+            self.normaliser = Normaliser.identity(widths)
+        else:
+            names = {"state": spec.state_names, "achieved": spec.achieved_names}
+            self.normaliser = Normaliser(pooled(statistics, names))
         width = config.trunk.width
         self.encoder = config.encoder.build(spec, width, fetch=fetch)
         self.trunk = config.trunk.build(self.encoder.goal_tokens + config.history * self.encoder.step_tokens)

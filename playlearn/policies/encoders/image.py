@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from playlearn.errors import UsageError
 from playlearn.policies.encoders.base import Encoder, EncoderConfig, Modality, Tokens
-from playlearn.policies.encoders.state import NumberTokens, mlp
+from playlearn.policies.encoders.objects import ObjectTokens, mlp
 from playlearn.policies.inputs import Observed, PolicySpec
 
 
@@ -66,9 +66,8 @@ class ImageConfig(EncoderConfig):
 class ImageEncoder(Encoder):
     """A goal token, then for each step one token a camera and one for the robot's own state.
 
-    With `feed_estimate` the state's token also holds the estimated achieved and its difference from the
-    goal's, and the goal has a second token. What a camera shows of the true `achieved` is never read
-    outside `auxiliary`.
+    With `feed_estimate` there is also a token an object, made from the estimated achieved of observation
+    and goal. The true `achieved` is never read outside `auxiliary`.
     """
 
     def __init__(self, config: ImageConfig, spec: PolicySpec, width: int, *, fetch: bool) -> None:
@@ -88,11 +87,11 @@ class ImageEncoder(Encoder):
         self.goal_tokens, self.step_tokens = 1, len(config.cameras) + 1
 
         self.estimate = _Estimate(config, len(spec.achieved_names), state) if config.auxiliary.achieved > 0 else None
-        self.numbers: NumberTokens | None = None
+        self.objects: ObjectTokens | None = None
         self.proprio: nn.Module | None = None
         if config.feed_estimate:
-            self.numbers = NumberTokens(spec, config.goal_names, config.hidden, width)
-            self.goal_tokens += 1
+            self.objects = ObjectTokens(spec, config.goal_names, config.hidden, width)
+            self.step_tokens += self.objects.count - 1
         else:
             self.proprio = mlp(state, config.hidden, width)
 
@@ -107,24 +106,21 @@ class ImageEncoder(Encoder):
         for camera, backbone in self.others.items():
             frames = self._shift(inputs.images[camera], generator)
             features[camera] = backbone(pixels(frames.flatten(0, 1))).unflatten(0, (batch, steps))
-        step_tokens = [self.project[camera](feature) for camera, feature in features.items()]
+        step_tokens = [self.project[camera](feature).unsqueeze(2) for camera, feature in features.items()]
 
         goal_token = self.goal_flag[keep.long()]  # (B, D)
         if self.project_goal is not None:
             goal_token = goal_token + torch.where(keep[:, None], self.project_goal(goal_seen), 0.0)
-        goal_tokens = [goal_token]
 
         observed = goal = None
         if self.estimate is not None:
             observed, goal = self.estimate(features, goal_seen, inputs.state)
-        if self.numbers is not None and observed is not None and goal is not None:
+        if self.objects is not None and observed is not None and goal is not None:
             now, then = (observed.detach(), goal.detach()) if config.detach_estimate else (observed, goal)
-            number_goal, number_steps = self.numbers(inputs.state, now, then, keep)
-            goal_tokens.append(number_goal)
-            step_tokens.append(number_steps)
+            step_tokens.append(self.objects(inputs.state, now, then, keep))
         elif self.proprio is not None:
-            step_tokens.append(self.proprio(inputs.state))
-        return Tokens(torch.stack(goal_tokens, 1), torch.stack(step_tokens, 2), observed, goal)
+            step_tokens.append(self.proprio(inputs.state).unsqueeze(2))
+        return Tokens(goal_token.unsqueeze(1), torch.cat(step_tokens, 2), observed, goal)
 
     def auxiliary(self, tokens: Tokens, inputs: Observed) -> dict[str, Tensor]:
         if tokens.observed is None or tokens.wanted is None:
