@@ -5,17 +5,17 @@ import functools
 import json
 import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from playlearn.config import atomic_write, from_dict, git_revision, save_config, to_dict, versions
 from playlearn.errors import PlaylearnError, UsageError
 from playlearn.executor import Job, LocalExecutorConfig
+from playlearn.report.progress import Progress
 from playlearn.rollout import rollout
 from playlearn.sim import CameraConfig, Environment, EnvironmentConfig, PlayTableConfig
 from playlearn.store import NativeStore, StoreSpec, write_episode
@@ -72,7 +72,7 @@ def collect(config: CollectConfig, out: Path, *, workers: int | None = None, res
             )
             for index in missing
         ]
-        _run(jobs, f"collect {out}", environment.spec.fps, workers)
+        _run(jobs, f"collect {out}", len(done), environment.spec.fps, workers)
 
 
 def record(settings: str, folder: str, index: int) -> tuple[int, str]:
@@ -124,9 +124,12 @@ def render_store(source: Path, out: Path, cameras: Mapping[str, CameraConfig], w
             for position, index in enumerate(store.indices())
             if int(index) not in done
         ]
-        with LocalExecutorConfig(workers=workers).build() as executor:
-            for _ in _progress(executor.run(jobs), len(jobs), f"render {out}"):
-                pass
+        with (
+            LocalExecutorConfig(workers=workers).build() as executor,
+            Progress(f"render {out}", len(store), "episode", begun=len(done)) as progress,
+        ):
+            for count, _ in enumerate(executor.run(jobs), len(done) + 1):
+                progress.to(count)
 
 
 def redraw(source: str, out: str, position: int, sizes: Mapping[str, Sequence[int]]) -> None:
@@ -171,13 +174,17 @@ def _open(config: CollectConfig, environment: Environment, out: Path, resume: bo
     return store
 
 
-def _run(jobs: Sequence[Job], title: str, fps: float, workers: int | None) -> None:
+def _run(jobs: Sequence[Job], title: str, begun: int, fps: float, workers: int | None) -> None:
     steps, began = 0, time.perf_counter()
     ended: dict[str, int] = {}
-    with LocalExecutorConfig(workers=workers).build() as executor:
-        for result in _progress(executor.run(jobs), len(jobs), title):
+    with (
+        LocalExecutorConfig(workers=workers).build() as executor,
+        Progress(title, begun + len(jobs), "episode", begun) as progress,
+    ):
+        for count, result in enumerate(executor.run(jobs), begun + 1):
             steps += result.value[0]
             ended[result.value[1]] = ended.get(result.value[1], 0) + 1
+            progress.to(count)
     if jobs:
         seconds = time.perf_counter() - began
         odd = ", ".join(f"{count} x {why}" for why, count in sorted(ended.items()) if why != "length")
@@ -186,21 +193,6 @@ def _run(jobs: Sequence[Job], title: str, fps: float, workers: int | None) -> No
             f"{steps / seconds:.0f} steps/s{'; ended early: ' + odd if odd else ''}",
             file=sys.stderr,
         )
-
-
-def _progress(results: Iterable[Any], total: int, title: str) -> Iterable[Any]:
-    """A bar on a terminal; on a pipe a plain line every 15 seconds."""
-    if sys.stderr.isatty():
-        yield from tqdm(results, total=total, unit="episode", desc=title)
-        return
-    began = shown = time.perf_counter()
-    for count, result in enumerate(results, 1):
-        yield result
-        now = time.perf_counter()
-        if now - shown > 15 or count == total:
-            shown = now
-            left = (now - began) / count * (total - count)
-            print(f"{title}: {count} of {total}, {left:.0f} s left", file=sys.stderr, flush=True)
 
 
 def _settings(config: CollectConfig) -> dict[str, Any]:

@@ -4,7 +4,6 @@ import dataclasses
 import json
 import math
 import signal
-import sys
 import threading
 import time
 from collections.abc import Generator, Iterator, Mapping
@@ -17,7 +16,6 @@ import numpy as np
 import torch
 from accelerate import Accelerator
 from torch import Tensor, nn
-from tqdm import tqdm
 
 from playlearn.config import atomic_write, git_revision, load_config, save_config, to_dict, versions
 from playlearn.data import Batch, DataConfig, PlayDataset, statistics
@@ -25,6 +23,7 @@ from playlearn.errors import UsageError
 from playlearn.policies import Policy, PolicyConfig, PolicySpec
 from playlearn.policies.checkpoint import load_checkpoint, save_checkpoint
 from playlearn.policies.ema import averaged
+from playlearn.report.progress import Progress
 from playlearn.store import Store, open_store
 
 # What may differ between a run and its resumption: how long it goes on, and what it says meanwhile.
@@ -108,7 +107,7 @@ def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
         run.load()
     elif run.accelerator.is_main_process:
         run.describe()
-    with _interruption_deferred() as interrupted, closing(_Progress(config, run.step)) as progress:
+    with _interruption_deferred() as interrupted, Progress("train", 100.0, "%", 100 * run.progress()) as progress:
         run.loop(interrupted, progress)
 
 
@@ -144,9 +143,11 @@ class _Run:
         self.model: nn.Module
         self.model, self.optimizer = self.accelerator.prepare(policy, optimizer)
         self.step, self.seconds = 0, 0.0
+        self.began = self.step, self.seconds
 
-    def loop(self, interrupted: threading.Event, progress: "_Progress") -> None:
+    def loop(self, interrupted: threading.Event, progress: Progress) -> None:
         config, accelerator = self.config, self.accelerator
+        self.began = self.step, self.seconds
         if config.tracker:
             accelerator.init_trackers("playlearn", config=_flat(to_dict(config)))
         rank, ranks = accelerator.process_index, accelerator.num_processes
@@ -161,11 +162,11 @@ class _Run:
                 if self.step % config.log_every == 0 or last:
                     self.log("train", {**window.means(), "lr": self.optimizer.param_groups[0]["lr"]})
                 if self.heldout and (self.step % config.heldout_every == 0 or last):
-                    progress.note(self.log("heldout", self.evaluate()))
+                    progress.say(self.log("heldout", self.evaluate()))
                 self.seconds += time.monotonic() - began
                 if self.step % config.checkpoint_every == 0 or last or interrupted.is_set():
                     self.save()
-                progress.update(self.step, self.progress(), window)
+                progress.to(100 * self.progress(), self.pace(window))
                 if interrupted.is_set():
                     raise KeyboardInterrupt
         if config.tracker:
@@ -204,6 +205,12 @@ class _Run:
         if self.config.max_minutes is not None:
             share = max(share, self.seconds / 60 / self.config.max_minutes)
         return min(share, 1.0)
+
+    def pace(self, window: "_Window") -> str:
+        """What is shown beside the progress bar."""
+        made, seconds = self.step - self.began[0], self.seconds - self.began[1]
+        loss = f", loss {window.latest['loss']:.4g}" if "loss" in window.latest else ""
+        return f"step {self.step}, {made / max(seconds, 1e-9):.1f} updates/s{loss}"
 
     def finished(self) -> bool:
         return self.progress() >= 1.0
@@ -278,44 +285,6 @@ class _Window:
         self.latest = {name: float(value) / self.count for name, value in self.sums.items()}
         self.sums, self.count = {}, 0
         return self.latest
-
-
-class _Progress:
-    """A bar on a terminal; on a pipe a plain line every `every` seconds."""
-
-    def __init__(self, config: TrainConfig, step: int, every: float = 15.0) -> None:
-        self.bar = tqdm(total=100.0, unit="%", disable=not sys.stderr.isatty(), bar_format=_BAR)
-        self.every, self.shown = every, time.monotonic()
-        self.began, self.first, self.steps = self.shown, step, config.steps
-        self.share: float | None = None
-
-    def update(self, step: int, share: float, window: _Window) -> None:
-        now = time.monotonic()
-        if self.share is None:
-            self.share = self.bar.n = 100 * share
-        rate = (step - self.first) / max(now - self.began, 1e-9)
-        loss = f"loss {window.latest['loss']:.4g}" if "loss" in window.latest else ""
-        if not self.bar.disable:
-            self.bar.set_postfix_str(f"step {step} {rate:.1f} updates/s {loss}", refresh=False)
-            self.bar.update(100 * share - self.bar.n)
-        elif now - self.shown >= self.every or share >= 1:
-            self.shown = now
-            done = 100 * share - self.share
-            left = (now - self.began) * (100 - 100 * share) / done if done > 0 else math.nan
-            line = f"train: {100 * share:.0f} %, step {step}, {rate:.1f} updates/s, {loss}, {left:.0f} s left"
-            print(line, file=sys.stderr, flush=True)
-
-    def note(self, line: str) -> None:
-        if not self.bar.disable:
-            self.bar.write(line, file=sys.stderr)
-        else:
-            print(line, file=sys.stderr, flush=True)
-
-    def close(self) -> None:
-        self.bar.close()
-
-
-_BAR = "train: {percentage:3.0f} %|{bar}| {elapsed} < {remaining} {postfix}"
 
 
 def _check_out(config: TrainConfig, out: Path, resume: bool) -> None:

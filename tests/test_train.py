@@ -147,7 +147,7 @@ def test_minutes_end_a_run_and_bend_its_schedule(play: Path, tmp_path: Path, mon
     """A clock that gains 3 s at each look lets one minute end after 20 updates of 3 s, long before 1000."""
     now = iter(range(0, 10**6, 3))
     monkeypatch.setattr(module.time, "monotonic", lambda: float(next(now)))
-    monkeypatch.setattr(module, "_Progress", Silent)
+    monkeypatch.setattr(module, "Progress", Silent)
     train(config(play, steps=1000, max_minutes=1, log_every=1, heldout_every=1000), tmp_path / "run")
     lines = [line for line in metrics(tmp_path / "run") if "train/lr" in line]
     assert lines[-1]["step"] in (20, 21)
@@ -156,9 +156,12 @@ def test_minutes_end_a_run_and_bend_its_schedule(play: Path, tmp_path: Path, mon
 
 class Silent:
     def __init__(self, *_: object) -> None: ...
-    def update(self, *_: object) -> None: ...
-    def note(self, *_: object) -> None: ...
-    def close(self) -> None: ...
+    def __enter__(self) -> "Silent":
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+    def to(self, *_: object) -> None: ...
+    def say(self, *_: object) -> None: ...
 
 
 def test_a_run_folder_is_never_overwritten(play: Path, tmp_path: Path) -> None:

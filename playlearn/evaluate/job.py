@@ -1,14 +1,11 @@
 """`playlearn eval`: assembles a suite, contenders and an executor, and writes what came out."""
 
 import json
-import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
-
-from tqdm import tqdm
 
 from playlearn.config import atomic_write, git_revision, to_dict, versions
 from playlearn.config.schema import nearest
@@ -17,9 +14,10 @@ from playlearn.evaluate.cohort import Attempt, Track, draw_track, lost, run_coho
 from playlearn.evaluate.contenders import Contender, Expert, Random, Trained
 from playlearn.evaluate.results import by_policy, curve, parquet, summary, to_film, to_show
 from playlearn.evaluate.suite import SuiteConfig, load_suite
-from playlearn.executor import Executor, Job, LocalExecutorConfig, LostError, Result
+from playlearn.executor import Executor, Job, LocalExecutorConfig, LostError
 from playlearn.report.page import Shown, page
 from playlearn.report.pictures import Pictures
+from playlearn.report.progress import Progress
 from playlearn.rollout import Actor
 from playlearn.sim.environment import Environment, EnvironmentSpec
 
@@ -27,7 +25,6 @@ GOALS = ("image", "state")
 POLICIES = ("expert", "random")
 SHOWN_SUCCESSES, SHOWN_FAILURES = 1, 2  # of each task
 FILMED_SUCCESSES, FILMED_FAILURES = 2, 3  # in all
-PLAIN_SECONDS = 10.0  # between two lines on a pipe
 
 
 def evaluate(
@@ -116,19 +113,21 @@ def _attempt(config: SuiteConfig, contenders: Sequence[Contender], expert: Exper
         for cohort in config.cohorts()
     }
     gathered = _Gathered()
-    for result in _progress(executor.run(jobs.values(), keep_going=True), len(jobs), config):
-        if result.error is None:
-            gathered.attempts += result.value.attempts
-            gathered.tracks |= result.value.tracks
-            gathered.renderer, gathered.spec = result.value.renderer, result.value.spec
-        elif isinstance(result.error, LostError):
-            cohort = jobs[result.key].kwargs["episodes"]
-            gathered.attempts += [lost(e, c.name, f"crashed: {result.error}") for e in cohort for c in contenders]
-        else:
-            raise result.error  # it could not even be set up: there is nothing to judge
-        main = [attempt for attempt in gathered.attempts if attempt.policy == contenders[0].name]
-        keep = {attempt.episode for attempt in to_show(main, SHOWN_SUCCESSES, SHOWN_FAILURES)}
-        gathered.tracks = {episode: track for episode, track in gathered.tracks.items() if episode in keep}
+    with Progress(config.name, config.episodes, "episode") as progress:
+        for result in executor.run(jobs.values(), keep_going=True):
+            if result.error is None:
+                gathered.attempts += result.value.attempts
+                gathered.tracks |= result.value.tracks
+                gathered.renderer, gathered.spec = result.value.renderer, result.value.spec
+            elif isinstance(result.error, LostError):
+                cohort = jobs[result.key].kwargs["episodes"]
+                gathered.attempts += [lost(e, c.name, f"crashed: {result.error}") for e in cohort for c in contenders]
+            else:
+                raise result.error  # it could not even be set up: there is nothing to judge
+            main = [attempt for attempt in gathered.attempts if attempt.policy == contenders[0].name]
+            keep = {attempt.episode for attempt in to_show(main, SHOWN_SUCCESSES, SHOWN_FAILURES)}
+            gathered.tracks = {episode: track for episode, track in gathered.tracks.items() if episode in keep}
+            progress.to(len(main))
     return gathered
 
 
@@ -186,24 +185,3 @@ def _make(out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"cannot write to --out {out}: {error.strerror}; name a folder") from error
-
-
-def _progress(results: Iterable[Result], cohorts: int, config: SuiteConfig) -> Iterator[Result]:
-    """A bar on a terminal; on a pipe a plain line now and then."""
-    silent = not sys.stderr.isatty()
-    started = said = time.perf_counter()
-    with tqdm(total=config.episodes, unit="episode", desc=config.name, disable=silent) as bar:
-        for done, result in enumerate(results, 1):
-            episodes = min(done * config.cohort, config.episodes)
-            bar.update(episodes - bar.n)
-            now = time.perf_counter()
-            if silent and (now - said > PLAIN_SECONDS or done == cohorts):
-                said = now
-                rate = episodes / (now - started)
-                left = (config.episodes - episodes) / rate
-                print(
-                    f"{config.name}: {episodes}/{config.episodes} episodes, {rate:.2f}/s, {left:.0f} s left",
-                    file=sys.stderr,
-                    flush=True,
-                )
-            yield result

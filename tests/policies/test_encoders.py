@@ -118,8 +118,8 @@ def test_a_shift_moves_all_frames_of_an_example_alike() -> None:
 
 
 def test_spatial_softmax_finds_a_peak() -> None:
-    """One hot pixel at row 0, column 4 of 5 x 5 is x = 1, y = -1."""
+    """One hot pixel at row 0, column 4 of 5 x 5 is x = 1, y = -1; it is worth 50 there and 2 on the mean."""
     maps = torch.zeros(1, 1, 5, 5)
     maps[0, 0, 0, 4] = 50.0
-    out = SpatialSoftmax(5, 5)(maps)
-    torch.testing.assert_close(out, torch.tensor([[1.0, -1.0, 2.0]]))
+    out = SpatialSoftmax(1, 5, 5)(maps)
+    torch.testing.assert_close(out, torch.tensor([[1.0, -1.0, 50.0, 2.0]]))

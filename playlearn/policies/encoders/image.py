@@ -27,7 +27,8 @@ class ImageConfig(EncoderConfig):
     fusion: `early` stacks observation and goal along the channels; `late` runs one network over each.
     features: width of a camera's feature vector. hidden: units of the small networks behind it.
     auxiliary: see AuxiliaryConfig. feed_estimate: hand the estimated achieved of observation and goal and
-    their difference to the policy, as the state encoder does with the true ones. detach_estimate: the
+    their difference to the policy, as the state encoder does with the true ones. feed_cameras: the cameras
+    whose features the policy sees beside them (null: all). detach_estimate: the
     policy's own loss does not shape the estimates. shift: random shift of the images in training, in
     pixels, the same for observation and goal.
     """
@@ -40,6 +41,7 @@ class ImageConfig(EncoderConfig):
     hidden: int = 256
     auxiliary: AuxiliaryConfig = field(default_factory=AuxiliaryConfig)
     feed_estimate: bool = False
+    feed_cameras: tuple[str, ...] | None = None
     detach_estimate: bool = True
     shift: int = 0
 
@@ -60,6 +62,13 @@ class ImageConfig(EncoderConfig):
             raise UsageError(f"encoder.goal_camera {self.goal_camera!r} is not among encoder.cameras {self.cameras}")
         if self.feed_estimate and self.auxiliary.achieved <= 0:
             raise UsageError("encoder.feed_estimate needs encoder.auxiliary.achieved above 0: nothing else trains it")
+        unknown = set(self.feed_cameras or ()) - set(self.cameras)
+        if unknown:
+            raise UsageError(f"encoder.feed_cameras: {min(unknown)!r} is not among encoder.cameras {self.cameras}")
+        if self.feed_cameras is not None and self.goal_camera not in self.feed_cameras and not self.feed_estimate:
+            raise UsageError(
+                "encoder.feed_cameras without the goal's camera needs encoder.feed_estimate: no goal is seen"
+            )
         return ImageEncoder(self, spec, width, fetch=fetch)
 
 
@@ -81,10 +90,12 @@ class ImageEncoder(Encoder):
             {camera: config.backbone(3, spec.cameras[camera], fetch=fetch) for camera in others}
         )
         features, state = config.features, len(spec.state_names)
-        self.project = nn.ModuleDict({camera: nn.Linear(features, width) for camera in config.cameras})
-        self.project_goal = None if early else nn.Linear(features, width)
+        fed = config.cameras if config.feed_cameras is None else config.feed_cameras
+        self.project = nn.ModuleDict({camera: nn.Linear(features, width) for camera in fed})
+        goal_fed = config.goal_camera in fed and not early
+        self.project_goal = nn.Linear(features, width) if goal_fed else None
         self.goal_flag = nn.Parameter(torch.randn(2, width) * 0.02)  # without, with a goal
-        self.goal_tokens, self.step_tokens = 1, len(config.cameras) + 1
+        self.goal_tokens, self.step_tokens = 1, len(fed) + 1
 
         self.estimate = _Estimate(config, len(spec.achieved_names), state) if config.auxiliary.achieved > 0 else None
         self.objects: ObjectTokens | None = None
@@ -106,7 +117,7 @@ class ImageEncoder(Encoder):
         for camera, backbone in self.others.items():
             frames = self._shift(inputs.images[camera], generator)
             features[camera] = backbone(pixels(frames.flatten(0, 1))).unflatten(0, (batch, steps))
-        step_tokens = [self.project[camera](feature).unsqueeze(2) for camera, feature in features.items()]
+        step_tokens = [project(features[camera]).unsqueeze(2) for camera, project in self.project.items()]
 
         goal_token = self.goal_flag[keep.long()]  # (B, D)
         if self.project_goal is not None:
