@@ -240,3 +240,22 @@ def test_what_the_store_lacks_is_said_before_anything_is_read(store: NativeStore
     short = make_store(tmp_path / "short", np.random.default_rng(0), 2, 5)
     with pytest.raises(StoreError, match=r"no train step has a goal.*`goals`"):
         DataConfig(goals=FixedConfig(seconds=10.0)).build(short, "train", 0)
+
+
+def test_a_chunk_ends_with_the_step_that_strayed_from_its_label(store: NativeStore) -> None:
+    """Written out step by step: label h counts while no step before it strayed by more than the threshold."""
+    config = dataclasses.replace(SEEN, stray=0.12)  # synthetic play errs with a spread of 0.05: some 1 in 15 steps
+    data = config.build(store, "train", 0)
+    indices = data.epoch_indices(0)[:60]
+    masks, ended = data.batch(0, indices).action_mask, 0
+    for (e, t), mask in zip(zip(*data.where(indices), strict=True), masks, strict=True):
+        episode = store.read(int(e))
+        counts = True
+        for h in range(8):
+            counts = counts and t + h < len(episode)
+            assert bool(mask[h]) == counts
+            if counts and np.abs(episode.action[t + h] - episode.expert_action[t + h]).max() > 0.12:
+                counts, ended = False, ended + 1
+    assert ended > 10
+    with pytest.raises(UsageError, match="stray"):
+        dataclasses.replace(SEEN, stray=0.0).build(store, "train", 0)

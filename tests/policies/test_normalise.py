@@ -5,7 +5,7 @@ import torch
 from torch import nn
 
 from playlearn.policies.ema import averaged
-from playlearn.policies.normalise import Normaliser
+from playlearn.policies.normalise import Normaliser, pooled
 from tests.policies.parts import Spread, generator
 
 
@@ -34,6 +34,17 @@ def test_an_action_that_is_hardly_used_counts_as_a_quarter_of_the_largest_and_co
     actions = torch.tensor([[0.4, 0.2, 0.01]])
     torch.testing.assert_close(normaliser.normalise("action", actions), torch.tensor([[1.0, 1.0, 0.1]]))
     torch.testing.assert_close(normaliser.restore("action", normaliser.normalise("action", actions)), actions)
+
+
+def test_quantities_of_one_part_name_share_their_scale() -> None:
+    """Two `x` of means 0 and 2 and spread 1 pool to mean 1 and spread sqrt(1 + 1); `y` stands alone."""
+    given = {"state": Spread(np.array([0.0, 5.0]), np.ones(2)), "achieved": Spread(np.array([2.0]), np.ones(1))}
+    made = pooled(given, {"state": ("eef.x", "eef.y"), "achieved": ("red.x",)})
+    np.testing.assert_allclose(made["state"].mean, [1.0, 5.0])
+    np.testing.assert_allclose(made["state"].std, [np.sqrt(2), 1.0])
+    np.testing.assert_allclose(made["achieved"].mean, [1.0])
+    np.testing.assert_allclose(made["achieved"].std, [np.sqrt(2)])
+    np.testing.assert_allclose(given["state"].mean, [0.0, 5.0])  # what was given is left alone
 
 
 def test_the_average_is_the_recursion_written_out() -> None:
