@@ -177,14 +177,15 @@ class Press:
     def act(self, hand: Hand, achieved: Array, style: Style) -> Array:
         x, y = scene.BUTTON_XY
         if (achieved[LAMP] > 0.5) == self.lit:
-            leaving = 0.3 if hand.position[2] < scene.BUTTON_TOP + 0.025 else 1.0  # a button is let go slowly
+            leaving = 0.1 if hand.position[2] < scene.BUTTON_TOP + 0.02 else 1.0  # a button is let go slowly
             up = np.array([*hand.position[:2], HIGH])
             return hand.move(up, REST_YAW, CLOSE, leaving * style.speed)
         off = float(np.hypot(hand.position[0] - x, hand.position[1] - y))
         low = hand.position[2] < scene.BUTTON_TOP + 0.03
         above = min(style.approach, 4.0 * max(0.0, off - (0.020 if low else 0.010)))
         pressing = -0.04 if above == 0.0 and hand.opening < 0.02 else 0.02
-        return hand.move(np.array([x, y, scene.BUTTON_TOP + TIP + pressing + above]), REST_YAW, CLOSE, style.speed)
+        speed = style.speed * (0.5 if low else 1.0)
+        return hand.move(np.array([x, y, scene.BUTTON_TOP + TIP + pressing + above]), REST_YAW, CLOSE, speed)
 
     def done(self, hand: Hand, achieved: Array) -> bool:
         return bool((achieved[LAMP] > 0.5) == self.lit and hand.position[2] > HIGH - 0.04)
