@@ -74,7 +74,7 @@ class Random:
 class Trained:
     """A policy that `playlearn train` left in `run`, shown its goal as `goal` ("image" or "state").
 
-    execute: actions of a chunk carried out before it plans again. guidance: weight of the goal.
+    execute: actions of a chunk carried out before it plans again (null: half of them). guidance: weight of the goal.
     """
 
     run: Path
@@ -118,7 +118,7 @@ class Trained:
         }
 
     def _execute(self, policy: Policy) -> int:
-        return min(8, policy.config.chunk) if self.execute is None else self.execute
+        return max(1, policy.config.chunk // 2) if self.execute is None else self.execute
 
 
 def _check_controller(trained: Mapping[str, Any], here: Mapping[str, Any]) -> None:
