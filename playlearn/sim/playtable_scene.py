@@ -169,11 +169,6 @@ class PlayTable(ManipulationEnv):  # type: ignore[misc]
         return False
 
 
-def front_of_drawer(opening: float) -> float:
-    """The y of the drawer's front edge, post included, in metres."""
-    return float(POST_XY[1] - POST_RADIUS - opening)
-
-
 def tray_centre(opening: float) -> np.ndarray[Any, Any]:
     """(2,) the x, y of the tray's centre, in metres."""
     return np.array([TRAY_CENTRE[0], TRAY_CENTRE[1] - opening])

@@ -65,9 +65,11 @@ class Renderer:
         return np.ascontiguousarray(image[::-1])  # OpenGL's rows go bottom-up
 
     def backend(self) -> str:
-        """GL back end and device, such as `egl: llvmpipe`."""
+        """GL back end and device, such as `egl: llvmpipe (LLVM 15.0.6, 256 bits)`."""
         self._need(1, 1)
-        return f"{os.environ.get('MUJOCO_GL', 'default')}"
+        from OpenGL import GL  # only once a platform has been chosen by the context
+
+        return f"{os.environ.get('MUJOCO_GL', 'default')}: {GL.glGetString(GL.GL_RENDERER).decode()}"
 
     def _need(self, height: int, width: int) -> mujoco.MjrContext:
         gl = _gl_context(1024, 1024)

@@ -7,8 +7,6 @@ from playlearn.errors import RenderError
 from playlearn.sim import PlayTableConfig
 from playlearn.sim.playtable import PlayTableWorld
 
-WORLD: list[PlayTableWorld] = []
-
 
 @pytest.fixture(scope="module")
 def world() -> PlayTableWorld:
