@@ -73,12 +73,12 @@ class Renderer:
 
     def _need(self, height: int, width: int) -> mujoco.MjrContext:
         gl = _gl_context(1024, 1024)
+        gl.make_current()  # somebody else in this process may have drawn meanwhile
         if self._context is None or height > self._size[0] or width > self._size[1]:
             self._size = (max(height, self._size[0], 128), max(width, self._size[1], 128))
             self._model.vis.global_.offheight, self._model.vis.global_.offwidth = self._size
             if self._context is not None:
                 self._context.free()
-            gl.make_current()
             self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_50)
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         return self._context
