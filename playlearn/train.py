@@ -158,12 +158,12 @@ class _Run:
                 began = time.monotonic()
                 window.add(self.update(next(batches)))
                 self.step += 1
+                self.seconds += time.monotonic() - began  # of updates alone, so that `last` is known to be the last
                 last = self.finished()
                 if self.step % config.log_every == 0 or last:
                     self.log("train", {**window.means(), "lr": self.optimizer.param_groups[0]["lr"]})
                 if self.heldout and (self.step % config.heldout_every == 0 or last):
                     progress.say(self.log("heldout", self.evaluate()))
-                self.seconds += time.monotonic() - began
                 if self.step % config.checkpoint_every == 0 or last or interrupted.is_set():
                     self.save()
                 progress.to(100 * self.progress(), self.pace(window))

@@ -170,7 +170,7 @@ def test_ctrl_c_stops_parent_and_children(tmp_path: Path) -> None:
         children = [int(path.name.removeprefix("child-")) for path in tmp_path.glob("child-*")]
     assert len(children) == 2
     os.killpg(process.pid, signal.SIGINT)
-    _, errors = process.communicate(timeout=30)
+    _, errors = process.communicate(timeout=120)
     assert process.returncode == 130
     assert errors == b""
     for child in children:

@@ -155,6 +155,11 @@ def test_minutes_end_a_run_and_bend_its_schedule(play: Path, tmp_path: Path, mon
     train(config(play, steps=1000, max_minutes=1, log_every=1, heldout_every=1000), tmp_path / "run")
     lines = [line for line in metrics(tmp_path / "run") if "train/lr" in line]
     assert lines[-1]["step"] in (20, 21)
+    assert (
+        metrics(tmp_path / "run")[-1]["step"] == lines[-1]["step"]
+    )  # held-out loss and weights are of the last update
+    assert "heldout/loss" in metrics(tmp_path / "run")[-1]
+    assert Policy.load(tmp_path / "run" / "policy").config.chunk == config(play).policy.chunk
     assert lines[-1]["train/lr"] < 0.05 * lines[2]["train/lr"]
 
 
