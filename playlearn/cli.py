@@ -131,10 +131,14 @@ def evaluate(arguments: argparse.Namespace) -> int:
 
 
 def export(arguments: argparse.Namespace) -> int:
+    from playlearn.report.progress import Progress
     from playlearn.store import open_store
     from playlearn.store.lerobot import export_lerobot
 
-    export_lerobot(open_store(arguments.store), arguments.out, videos=arguments.videos)
+    store = open_store(arguments.store)
+    with Progress(f"export {arguments.out}", len(store), "episode") as progress:
+        export_lerobot(store, arguments.out, videos=arguments.videos, progress=lambda done, _: progress.to(done))
+    print(f"{arguments.out}: LeRobot v3.0, {len(store)} episodes")
     return DONE
 
 
@@ -195,7 +199,7 @@ def _parser() -> argparse.ArgumentParser:
     made.add_argument("--suite", type=Path, required=True, metavar="FILE", help="eval/suites/NAME.yaml")
     made.add_argument("--goal", choices=("image", "state"), required=True, help="how the goal is shown")
     made.add_argument("--out", type=Path, required=True, metavar="DIR", help="results.json and report.html go here")
-    made.add_argument("--episodes", type=_count, metavar="N", help="episodes a task, instead of the suite's own")
+    made.add_argument("--episodes", type=_count, metavar="N", help="episodes in all, instead of the suite's own")
     _workers(made)
     made.add_argument("--seed", type=int, metavar="S", help="instead of the suite's own")
     _json(made)

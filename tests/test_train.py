@@ -127,8 +127,9 @@ def test_statistics_come_from_the_training_episodes(play: Path, tmp_path: Path) 
     names = {"state": policy.spec.state_names, "achieved": policy.spec.achieved_names}
     expected = pooled(statistics(data), names)
     for name in ("state", "achieved"):
-        stored = policy.normaliser.get_buffer(f"{name}_mean")
-        torch.testing.assert_close(stored, torch.from_numpy(expected[name].mean))
+        for what in ("mean", "std"):
+            stored = policy.normaliser.get_buffer(f"{name}_{what}")
+            torch.testing.assert_close(stored, torch.from_numpy(getattr(expected[name], what)))
 
 
 def test_training_learns(play: Path, tmp_path: Path) -> None:
@@ -155,10 +156,9 @@ def test_minutes_end_a_run_and_bend_its_schedule(play: Path, tmp_path: Path, mon
     train(config(play, steps=1000, max_minutes=1, log_every=1, heldout_every=1000), tmp_path / "run")
     lines = [line for line in metrics(tmp_path / "run") if "train/lr" in line]
     assert lines[-1]["step"] in (20, 21)
-    assert (
-        metrics(tmp_path / "run")[-1]["step"] == lines[-1]["step"]
-    )  # held-out loss and weights are of the last update
-    assert "heldout/loss" in metrics(tmp_path / "run")[-1]
+    last = metrics(tmp_path / "run")[-1]  # the last update is the one that is judged and saved
+    assert last["step"] == lines[-1]["step"]
+    assert "heldout/loss" in last
     assert Policy.load(tmp_path / "run" / "policy").config.chunk == config(play).policy.chunk
     assert lines[-1]["train/lr"] < 0.05 * lines[2]["train/lr"]
 

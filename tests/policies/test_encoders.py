@@ -8,6 +8,7 @@ import torch
 from playlearn.errors import UsageError
 from playlearn.policies.encoders.cnn import SpatialSoftmax
 from playlearn.policies.encoders.image import pixels, random_shift
+from playlearn.policies.encoders.objects import ObjectTokens
 from tests.policies.parts import ENCODERS, SPEC, examples, generator, policy
 
 ESTIMATE = {"auxiliary": {"achieved": 1.0}, "feed_estimate": True}
@@ -123,3 +124,58 @@ def test_spatial_softmax_finds_a_peak() -> None:
     maps[0, 0, 0, 4] = 50.0
     out = SpatialSoftmax(1, 5, 5)(maps)
     torch.testing.assert_close(out, torch.tensor([[1.0, -1.0, 50.0, 2.0]]))
+
+
+BLOCKS = dataclasses.replace(
+    SPEC,
+    state_names=("eef.x", "eef.y", "gripper.opening"),
+    achieved_names=("red.x", "red.y", "drawer.opening", "blue.x", "blue.y"),
+)
+
+
+def object_tokens(
+    goal_names: tuple[str, ...] = ("*",),
+) -> tuple[ObjectTokens, torch.Tensor, torch.Tensor, torch.Tensor]:
+    torch.manual_seed(0)
+    made = ObjectTokens(BLOCKS, goal_names, hidden=16, width=8)
+    draw = generator()
+    return made, *(torch.randn(shape, generator=draw) for shape in ((4, 2, 3), (4, 2, 5), (4, 5)))
+
+
+def test_objects_of_one_kind_are_seen_through_the_same_weights() -> None:
+    """Blocks that trade places trade tokens, but for the name that each token carries; the drawer's stays."""
+    made, state, achieved, goal = object_tokens()
+    keep = torch.ones(4, dtype=torch.bool)
+    swap = torch.tensor([3, 4, 2, 0, 1])
+    with torch.no_grad():
+        made.kinds[0].name.zero_()
+        tokens = made(state, achieved, goal, keep)  # red, blue, drawer, robot
+        swapped = made(state, achieved[..., swap], goal[:, swap], keep)
+    assert tokens.shape == (4, 2, made.count, 8)
+    torch.testing.assert_close(swapped, tokens[:, :, [1, 0, 2, 3]])
+    assert not torch.allclose(tokens[:, :, 0], tokens[:, :, 1])
+
+
+def test_an_object_token_knows_of_itself_and_the_hand_alone() -> None:
+    """Moving blue, or blue's goal, leaves the tokens of red, the drawer and the robot as they were."""
+    made, state, achieved, goal = object_tokens()
+    keep = torch.ones(4, dtype=torch.bool)
+    before = made(state, achieved, goal, keep)
+    moved, wanted = achieved.clone(), goal.clone()
+    moved[..., 3] += 1.0
+    wanted[:, 4] -= 1.0
+    after = made(state, moved, wanted, keep)
+    changed = [(before[:, :, i] - after[:, :, i]).abs().max().item() > 1e-6 for i in range(made.count)]
+    assert changed == [False, True, False, False]
+    near = made(state + torch.tensor([0.5, 0.0, 0.0]), achieved, goal, keep)
+    changed = [(before[:, :, i] - near[:, :, i]).abs().max().item() > 1e-6 for i in range(made.count)]
+    assert changed == [True, True, False, True]  # a drawer has no place of its own
+
+
+def test_the_cameras_that_are_fed_must_be_there_and_show_a_goal() -> None:
+    with pytest.raises(UsageError, match="'side' is not among"):
+        policy("cnn", encoder_options={"feed_cameras": ["side"]})
+    with pytest.raises(UsageError, match="feed_estimate"):
+        policy("cnn", encoder_options={"feed_cameras": ["wrist"]})
+    fed = policy("cnn", encoder_options={**ESTIMATE, "fusion": "late", "feed_cameras": ["wrist"]})
+    assert set(fed.encoder.project) == {"wrist"}

@@ -16,9 +16,6 @@ def world() -> PlayTableWorld:
     return PlayTableConfig().build()
 
 
-FIXTURES = ("open_drawer", "close_drawer", "lamp_on", "lamp_off")
-
-
 def play(world: PlayTableWorld, seed: int, steps: int, config: PlayConfig) -> Episode:
     world.reset(seed)
     episode = rollout([world], player_for(world, config), [None], seeds=[seed], max_steps=steps)[0].episode

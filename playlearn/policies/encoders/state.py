@@ -14,14 +14,10 @@ from playlearn.policies.inputs import Observed, PolicySpec
 @EncoderConfig.register_subclass("state")
 @dataclass(frozen=True)
 class StateConfig(EncoderConfig):
-    """hidden: units of the two-layer networks that make a token.
-
-    jitter: spread of the noise on what is achieved, in training, in shares of the data's own spread.
-    """
+    """hidden: units of the two-layer networks that make a token."""
 
     goal: ClassVar[Modality] = "state"
     hidden: int = 256
-    jitter: float = 0.0
 
     def build(self, spec: PolicySpec, width: int, *, fetch: bool = True) -> "StateEncoder":
         return StateEncoder(self, spec, width)
@@ -34,19 +30,10 @@ class StateEncoder(Encoder):
 
     def __init__(self, config: StateConfig, spec: PolicySpec, width: int) -> None:
         super().__init__()
-        self.jitter = config.jitter
         self.objects = ObjectTokens(spec, config.goal_names, config.hidden, width)
         self.step_tokens = self.objects.count
         self.goal_flag = nn.Parameter(torch.randn(2, width) * 0.02)  # without, with a goal
 
     def forward(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
-        achieved, goal = inputs.achieved, inputs.goal_achieved
-        if generator is not None and self.jitter > 0:
-            achieved = achieved + self.jitter * _noise(achieved, generator)
-            goal = goal + self.jitter * _noise(goal, generator)
-        steps = self.objects(inputs.state, achieved, goal, keep)
+        steps = self.objects(inputs.state, inputs.achieved, inputs.goal_achieved, keep)
         return Tokens(goal=self.goal_flag[keep.long()].unsqueeze(1), steps=steps)
-
-
-def _noise(like: Tensor, generator: torch.Generator) -> Tensor:
-    return torch.randn(like.shape, generator=generator, device=generator.device).to(like)
