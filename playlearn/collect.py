@@ -17,8 +17,9 @@ from playlearn.errors import PlaylearnError, UsageError
 from playlearn.executor import Job, LocalExecutorConfig
 from playlearn.report.progress import Progress
 from playlearn.rollout import rollout
-from playlearn.sim import CameraConfig, Environment, EnvironmentConfig, PlayTableConfig
+from playlearn.sim import CameraConfig, Environment, EnvironmentConfig
 from playlearn.store import NativeStore, StoreSpec, write_episode
+from playlearn.tasks import PlayTableConfig
 from playlearn.teleop import PlayConfig, player_for
 
 

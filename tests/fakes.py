@@ -149,6 +149,7 @@ def _light(achieved: Array, rng: np.random.Generator) -> Array:
 TASKS: dict[str, Task] = {
     "move_puck": Task(
         name="move_puck",
+        kind="move",
         precondition=lambda _achieved: True,
         arrange=lambda _environment, _rng: None,
         command=_move,
@@ -156,6 +157,7 @@ TASKS: dict[str, Task] = {
     ),
     "lamp_on": Task(
         name="lamp_on",
+        kind="lamp",
         precondition=lambda achieved: bool(achieved[2] < 0.5),
         arrange=lambda environment, rng: _shift(environment, rng, float(rng.random() < 0.5)),
         command=_light,

@@ -8,8 +8,9 @@ import pytest
 
 from playlearn.collect import CollectConfig, collect, render_store
 from playlearn.errors import RenderError, StoreError, UsageError
-from playlearn.sim import CameraConfig, PlayTableConfig
+from playlearn.sim import CameraConfig
 from playlearn.store import NativeStore
+from playlearn.tasks import PlayTableConfig
 
 SMALL = CollectConfig(
     environment=PlayTableConfig(cameras={"front": CameraConfig(32, 48), "wrist": CameraConfig(24, 24)}),

@@ -1,5 +1,6 @@
 """Judge a policy on a suite of start states and goals, beside the expert and chance."""
 
+import playlearn.tasks  # noqa: F401  so that a suite can name any world
 from playlearn.evaluate.contenders import Contender, Expert, Random, Trained
 from playlearn.evaluate.heldout import HeldoutConfig
 from playlearn.evaluate.job import evaluate

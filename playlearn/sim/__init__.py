@@ -10,6 +10,5 @@ if sys.platform == "linux":
 logging.getLogger("robosuite_logs").addFilter(lambda record: record.levelno >= logging.ERROR)
 
 from playlearn.sim.environment import CameraConfig, Environment, EnvironmentConfig, EnvironmentSpec, Task  # noqa: E402
-from playlearn.sim.playtable import PlayTableConfig  # noqa: E402
 
-__all__ = ["CameraConfig", "Environment", "EnvironmentConfig", "EnvironmentSpec", "PlayTableConfig", "Task"]
+__all__ = ["CameraConfig", "Environment", "EnvironmentConfig", "EnvironmentSpec", "Task"]

@@ -22,6 +22,7 @@ class CameraConfig:
 class Task:
     """A named task: where it starts, what to ask an expert for, and how to judge the outcome.
 
+    kind: what it is an instance of (`lift` of `lift_red`), for play's weights.
     precondition: (achieved) -> bool, whether a start state suits the task.
     arrange: (environment, rng) -> None, brings a freshly reset environment into such a state.
     command: (achieved, rng) -> (G,), the goal state an expert is asked to reach from there.
@@ -29,6 +30,7 @@ class Task:
     """
 
     name: str
+    kind: str
     precondition: Callable[[Array], bool]
     arrange: Callable[[Any, np.random.Generator], None]
     command: Callable[[Array, np.random.Generator], Array]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from playlearn.errors import RenderError
-from playlearn.sim import PlayTableConfig
-from playlearn.sim.playtable import PlayTableWorld
+from playlearn.tasks import PlayTableConfig
+from playlearn.tasks.playtable.world import PlayTableWorld
 
 
 @pytest.fixture(scope="module")

@@ -126,7 +126,7 @@ def _lamp() -> str:
 class PlayTable(ManipulationEnv):  # type: ignore[misc]
     """robosuite's own door to the scene: `robosuite.make("PlayTable", robots="Panda")` works too.
 
-    It has no reward: reaching goals is judged by `playlearn.sim.playtable`.
+    It has no reward: reaching goals is judged by `playlearn.tasks.playtable.world`.
     """
 
     def __init__(self, robots: str = "Panda", **kwargs: Any) -> None:

@@ -5,8 +5,8 @@ import pytest
 
 from playlearn.episode import Episode, Goal
 from playlearn.rollout import rollout
-from playlearn.sim import PlayTableConfig
-from playlearn.sim.playtable import PlayTableWorld
+from playlearn.tasks import PlayTableConfig
+from playlearn.tasks.playtable.world import PlayTableWorld
 from playlearn.teleop import PlayConfig, expert_for, player_for
 from playlearn.teleop.hand import Hand
 

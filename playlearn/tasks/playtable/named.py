@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from playlearn.episode import Array
-from playlearn.sim import playtable_scene as scene
 from playlearn.sim.environment import Task
+from playlearn.tasks.playtable import scene
+
+Range = tuple[float, float]
 
 BLOCK_NAMES = tuple(scene.BLOCKS)
 DRAWER, LAMP = 15, 16
@@ -86,13 +88,13 @@ class _BlockTasks:
     def tasks(self) -> tuple[Task, ...]:
         name = self.name
         return (
-            Task(f"lift_{name}", self.lying, _as_it_comes, self.lift, self.lifted),
-            Task(f"push_{name}", self.lying, _as_it_comes, self.push, self.at_goal),
-            Task(f"rotate_{name}", self.lying, _as_it_comes, self.rotate, self.turned),
-            Task(f"place_{name}", self.lying, _as_it_comes, self.place, self.at_goal),
-            Task(f"stow_{name}", self.can_stow, _opened, self.stow, self.stowed),
-            Task(f"stack_{name}", self.can_stack, _as_it_comes, self.stack, self.stacked),
-            Task(f"unstack_{name}", self.on_top, self.pile, self.place, self.unstacked),
+            Task(f"lift_{name}", "lift", self.lying, _as_it_comes, self.lift, self.lifted),
+            Task(f"push_{name}", "push", self.lying, _as_it_comes, self.push, self.at_goal),
+            Task(f"rotate_{name}", "rotate", self.lying, _as_it_comes, self.rotate, self.turned),
+            Task(f"place_{name}", "place", self.lying, _as_it_comes, self.place, self.at_goal),
+            Task(f"stow_{name}", "stow", self.can_stow, _opened, self.stow, self.stowed),
+            Task(f"stack_{name}", "stack", self.can_stack, _as_it_comes, self.stack, self.stacked),
+            Task(f"unstack_{name}", "unstack", self.on_top, self.pile, self.place, self.unstacked),
         )
 
     @property
@@ -234,10 +236,13 @@ def _of_drawer() -> tuple[Task, ...]:
     def near(start: Array, achieved: Array, goal: Array) -> bool:
         return bool(abs(achieved[DRAWER] - goal[DRAWER]) < 0.03)
 
-    travel = scene.DRAWER_TRAVEL
+    def drawer(kind: str, suits: Callable[[Array], bool], before: Range, after: Range) -> Task:
+        return Task(kind, kind, suits, arrange(*before), slide(*after), near)
+
+    closed, opened = (0.0, 0.01), (scene.DRAWER_TRAVEL - 0.02, scene.DRAWER_TRAVEL)
     return (
-        Task("open_drawer", lambda a: bool(a[DRAWER] < CLOSED), arrange(0, 0.01), slide(travel - 0.02, travel), near),
-        Task("close_drawer", lambda a: bool(a[DRAWER] > OPEN), arrange(travel - 0.02, travel), slide(0, 0.01), near),
+        drawer("open_drawer", lambda achieved: bool(achieved[DRAWER] < CLOSED), closed, opened),
+        drawer("close_drawer", lambda achieved: bool(achieved[DRAWER] > OPEN), opened, closed),
     )
 
 
@@ -254,6 +259,6 @@ def _of_lamp() -> tuple[Task, ...]:
         def judge(start: Array, achieved: Array, goal: Array) -> bool:
             return bool((achieved[LAMP] > 0.5) == lit)
 
-        return Task(name, lambda achieved: bool((achieved[LAMP] > 0.5) != lit), arrange, command, judge)
+        return Task(name, "lamp", lambda achieved: bool((achieved[LAMP] > 0.5) != lit), arrange, command, judge)
 
     return task("lamp_on", True), task("lamp_off", False)

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from playlearn.errors import ActionError, SimulationDiverged, UsageError
-from playlearn.sim import CameraConfig, PlayTableConfig
-from playlearn.sim import playtable_scene as scene
-from playlearn.sim.playtable import PlayTableWorld
-from playlearn.sim.playtable_tasks import BLOCK_NAMES, DRAWER, LAMP, block, in_tray, on_table, supporter
+from playlearn.sim import CameraConfig
+from playlearn.tasks import PlayTableConfig
+from playlearn.tasks.playtable import scene
+from playlearn.tasks.playtable.named import BLOCK_NAMES, DRAWER, LAMP, block, in_tray, on_table, supporter
+from playlearn.tasks.playtable.world import PlayTableWorld
 
 
 @pytest.fixture(scope="module")

@@ -19,9 +19,10 @@ from robosuite.robots import ROBOT_CLASS_MAPPING, FixedBaseRobot
 
 from playlearn.episode import Array
 from playlearn.errors import UsageError
-from playlearn.sim import playtable_scene as scene
 from playlearn.sim.environment import CameraConfig, EnvironmentConfig, Task
-from playlearn.sim.playtable_tasks import (
+from playlearn.sim.robosuite_world import RobosuiteWorld
+from playlearn.tasks.playtable import scene
+from playlearn.tasks.playtable.named import (
     BLOCK_NAMES,
     DRAWER,
     LAMP,
@@ -30,7 +31,6 @@ from playlearn.sim.playtable_tasks import (
     free_spot,
     playtable_tasks,
 )
-from playlearn.sim.robosuite_world import RobosuiteWorld
 
 ACHIEVED_NAMES = (
     *(f"{name}.{part}" for name in BLOCK_NAMES for part in ("x", "y", "z", "c", "s")),

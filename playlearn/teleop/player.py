@@ -1,26 +1,24 @@
-"""Unstructured play on PlayTable: skills chained at random, with the mistakes that make it worth learning from.
+"""Unstructured play: skills chained at random, with the mistakes that make it worth learning from.
 
 Every action that is executed may carry noise, a pause or a mistake; the label beside it
 (`Decision.label`) is what the same driver, at that very state, meant to do (noise injection as in
 DART, Laskey et al. 2017, here with drifting noise).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from playlearn.episode import Array, Decision, Goal, Observation
-from playlearn.sim import playtable_scene as scene
-from playlearn.sim.environment import Task
-from playlearn.sim.playtable_tasks import BLOCK_NAMES, DRAWER, block, clear, in_tray, playtable_tasks
+from playlearn.teleop.driver import Driver, Idea, pick
 from playlearn.teleop.hand import OPEN, Hand, Style
-from playlearn.teleop.playtable_expert import skill_for, skill_towards
-from playlearn.teleop.playtable_skills import Carry, Reach, Skill, holding
+from playlearn.teleop.skills import Reach, Skill
 
 _PATIENCE = 170  # steps after which a skill is given up
-_HOLD = (14, 24)  # steps for which a lifted block is held still
+_KEEP = (14, 24)  # steps for which an outcome that does not last, such as a lift, is held
 _OFFSET_STEPS = (25, 45)  # how long a misjudged place is believed in
+_UNTIL_SLIP = (3, 15)  # steps after the grasp
 _SLIP_STEPS = 9
 
 
@@ -61,43 +59,44 @@ class PlayConfig:
     slip: float = 0.05
 
 
-class PlayTablePlayer:
+class Player:
     """An Actor without goals: it makes its own, one after the other, for as long as it is asked."""
 
     name = "player"
     cameras: tuple[str, ...] = ()
 
-    def __init__(self, config: PlayConfig) -> None:
-        self._config = config
-        self._tasks = playtable_tasks()
-        self._players: list[_Player] = []
+    def __init__(self, driver: Driver, config: PlayConfig) -> None:
+        self._driver, self._config = driver, config
+        self._hands: list[_Playing] = []
 
     def reset(self, goals: Sequence[Goal | None], seeds: Sequence[int]) -> None:
-        self._players = [_Player(self._config, self._tasks, np.random.default_rng(seed)) for seed in seeds]
+        ideas = self._driver.ideas()
+        self._hands = [_Playing(self._config, self._driver, ideas, np.random.default_rng(seed)) for seed in seeds]
 
     def act(self, observations: Sequence[Observation], active: Sequence[bool]) -> Sequence[Decision]:
         nothing = Decision(np.zeros(7))
         return [
-            player.act(seen) if running else nothing
-            for player, seen, running in zip(self._players, observations, active, strict=True)
+            playing.act(seen) if running else nothing
+            for playing, seen, running in zip(self._hands, observations, active, strict=True)
         ]
 
 
 @dataclass
-class _Player:
-    """One player at one table: what it is doing now, and for how long still."""
+class _Playing:
+    """One player in one world: what it is doing now, and for how long still."""
 
     config: PlayConfig
-    tasks: Mapping[str, Task]
+    driver: Driver
+    ideas: Sequence[Idea]
     rng: np.random.Generator
     skill: Skill | None = None
     style: Style = field(default_factory=Style)
     steps: int = 0
     pausing: int = 0
-    holding: int = 0
+    keeping: int = 0
     offset: Array = field(default_factory=lambda: np.zeros(2))
     misjudged: int = 0
-    slip_at: float = 0.0
+    until_slip: int | None = None
     slipping: int = 0
     noise: Array = field(default_factory=lambda: np.zeros(6))
 
@@ -114,10 +113,10 @@ class _Player:
     def _over(self, skill: Skill, hand: Hand, achieved: Array) -> bool:
         if self.steps > _PATIENCE:
             return True
-        if self.holding > 0 and skill.done(hand, achieved):
-            self.holding -= 1
-            return self.holding == 0
-        return self.holding == 0 and skill.done(hand, achieved)
+        if not skill.done(hand, achieved):
+            return False
+        self.keeping -= 1
+        return self.keeping <= 0
 
     def _begin(self, hand: Hand, achieved: Array) -> Skill:
         config, rng = self.config, self.rng
@@ -125,57 +124,23 @@ class _Player:
         skill = self.skill = self._next(hand, achieved)
         self.steps = 0
         self.pausing = int(rng.integers(4, 14)) if rng.random() < config.pause else 0
-        lifting = isinstance(skill, Carry) and not skill.release
-        self.holding = int(rng.integers(*_HOLD)) if lifting else 0
+        self.keeping = 0 if skill.lasting else int(rng.integers(*_KEEP))
         self.misjudged = int(rng.integers(*_OFFSET_STEPS)) if rng.random() < config.mistake else 0
         angle = rng.uniform(-np.pi, np.pi)
         self.offset = rng.uniform(0.03, 0.055) * np.array([np.cos(angle), np.sin(angle)])
-        self.slip_at = scene.TABLE_Z + rng.uniform(0.05, 0.12) if rng.random() < config.slip else 0.0
+        self.until_slip = int(rng.integers(*_UNTIL_SLIP)) if rng.random() < config.slip else None
         self.slipping = 0
         return skill
 
     def _next(self, hand: Hand, achieved: Array) -> Skill:
-        held = [i for i in range(len(BLOCK_NAMES)) if holding(hand, achieved, i)]
-        if held:
-            return self._put_down(achieved, held[0])
+        if self.driver.holding(hand, achieved):
+            return self.driver.put_down(hand, achieved, self.rng)
         if self.rng.random() < self.config.aimless:
-            low, high = (-0.15, -0.2, scene.TABLE_Z + 0.12), (0.15, 0.2, scene.TABLE_Z + 0.25)
-            x, y, z = self.rng.uniform(low, high)
+            x, y, z = self.rng.uniform(*self.driver.aimless)
             return Reach("aimless", (x, y, z))
-        names, weights = self._possible(achieved)
-        name = names[int(self.rng.choice(len(names), p=weights / weights.sum()))]
-        goal = self._goal(name, achieved)
-        changed = [i for i in range(len(BLOCK_NAMES)) if not np.allclose(block(goal, i), block(achieved, i), atol=1e-4)]
-        if not changed and name.split("_")[0] not in ("open", "close", "lamp"):
-            return skill_towards(hand, achieved, achieved)  # nowhere to go: the table is full; step back
-        return skill_for(name, goal, [] if name.endswith("drawer") else changed, achieved)
-
-    def _possible(self, achieved: Array) -> tuple[list[str], Array]:
-        weights: dict[str, float] = {}
-        for name, task in self.tasks.items():
-            kind = name if name.endswith("drawer") else name.split("_")[0]
-            if task.precondition(achieved):
-                weights[name] = self.config.weights.get(kind, 0.0)
-        for index, name in enumerate(BLOCK_NAMES):
-            if in_tray(achieved, index) and achieved[DRAWER] > 0.12 and clear(achieved, index):
-                weights[f"unstow_{name}"] = self.config.weights.get("unstow", 0.0)
-        return list(weights), np.array([max(weight, 1e-9) for weight in weights.values()])
-
-    def _goal(self, name: str, achieved: Array) -> Array:
-        kind, _, which = name.partition("_")
-        task = self.tasks[f"place_{which}" if kind == "unstow" else name]
-        return task.command(achieved, self.rng)
-
-    def _put_down(self, achieved: Array, index: int) -> Skill:
-        which = BLOCK_NAMES[index]
-        kinds = ["place"]
-        if achieved[DRAWER] > 0.12:
-            kinds.append("stow")
-        if any(clear(achieved, i) and block(achieved, i)[2] < scene.TABLE_Z + 0.03 for i in range(3) if i != index):
-            kinds.append("stack")
-        name = f"{kinds[int(self.rng.integers(len(kinds)))]}_{which}"
-        goal = self.tasks[name].command(achieved, self.rng)
-        return skill_for(name, goal, [index], achieved)
+        idea = pick(self.ideas, self.config.weights, achieved, self.rng)
+        skill = None if idea is None else idea.skill(hand, achieved, self.rng)
+        return skill or self.driver.towards(hand, achieved, achieved)  # nowhere to go: step back
 
     def _executed(self, hand: Hand, achieved: Array, label: Array, skill: Skill) -> Array:
         config, rng = self.config, self.rng
@@ -186,12 +151,10 @@ class _Player:
             self.misjudged -= 1
             away = np.array([*self.offset, 0.0])
             action = skill.act(Hand(hand.position - away, hand.rotation, hand.opening), achieved, self.style)
-        if (
-            self.slip_at
-            and hand.position[2] > self.slip_at
-            and any(holding(hand, achieved, i) for i in range(len(BLOCK_NAMES)))
-        ):
-            self.slip_at, self.slipping = 0.0, _SLIP_STEPS
+        if self.until_slip is not None and self.driver.holding(hand, achieved):
+            self.until_slip -= 1
+            if self.until_slip < 0:
+                self.until_slip, self.slipping = None, _SLIP_STEPS
         # People tremble less where they go slowly and look closely.
         action[:6] += self.noise * (0.2 + 0.8 * min(1.0, float(np.linalg.norm(label[:3]))))
         if self.slipping > 0:

@@ -1,0 +1,8 @@
+"""The worlds one can play in: a file (or a folder) each, with its scene, named tasks, judges, skills and driver.
+
+To import one is to register it: its config under `environment: {type: ...}`, and who drives it.
+"""
+
+from playlearn.tasks.playtable import PlayTableConfig
+
+__all__ = ["PlayTableConfig"]

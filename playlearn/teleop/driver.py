@@ -1,0 +1,78 @@
+"""What a task's file says about driving it: what play may try there, and which skill serves a goal."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from playlearn.episode import Array
+from playlearn.errors import UsageError
+from playlearn.sim.environment import Environment
+from playlearn.teleop.hand import Hand
+from playlearn.teleop.skills import Skill
+
+
+@dataclass(frozen=True)
+class Idea:
+    """Something that play may try. kind: what `PlayConfig.weights` calls it.
+
+    possible: (achieved) -> bool. skill: (hand, achieved, rng) -> how it is brought about, with a goal drawn
+    at random; None where there turns out to be no room for it.
+    """
+
+    name: str
+    kind: str
+    possible: Callable[[Array], bool]
+    skill: Callable[[Hand, Array, np.random.Generator], Skill | None]
+
+
+class Driver(Protocol):
+    """How to drive one kind of environment. Everything it decides follows from what it is given: it is Markov.
+
+    aimless: the box ((3,), (3,)) m in which an idle hand wanders.
+    """
+
+    @property
+    def aimless(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]: ...
+
+    def ideas(self) -> Sequence[Idea]: ...
+
+    def holding(self, hand: Hand, achieved: Array) -> bool:
+        """Whether the hand has hold of something that it could drop."""
+        ...
+
+    def put_down(self, hand: Hand, achieved: Array, rng: np.random.Generator) -> Skill:
+        """A place for what is in the hand."""
+        ...
+
+    def towards(self, hand: Hand, achieved: Array, goal: Array) -> Skill:
+        """What to do now to bring `achieved` (G,) to `goal` (G,)."""
+        ...
+
+
+_DRIVERS: dict[str, Callable[[Environment], Driver]] = {}
+
+
+def register_driver(kind: str, make: Callable[[Environment], Driver]) -> None:
+    """Say who drives the environments whose config is registered as `kind`."""
+    _DRIVERS[kind] = make
+
+
+def driver_for(environment: Environment) -> Driver:
+    """Raises UsageError where nobody can drive this kind of environment."""
+    config = environment.config
+    kind = str(config.get_choice_name(type(config)))
+    if kind not in _DRIVERS:
+        raise UsageError(f"nobody can drive {kind!r} yet; there are drivers for {', '.join(sorted(_DRIVERS))}")
+    return _DRIVERS[kind](environment)
+
+
+def pick(ideas: Sequence[Idea], weights: Mapping[str, float], achieved: Array, rng: np.random.Generator) -> Idea | None:
+    """One of the ideas that are possible now, drawn by the weight of its kind; None where there is none."""
+    open_to = [(idea, weights.get(idea.kind, 1.0)) for idea in ideas if idea.possible(achieved)]
+    open_to = [(idea, weight) for idea, weight in open_to if weight > 0]
+    if not open_to:
+        return None
+    share = np.array([weight for _, weight in open_to])
+    return open_to[int(rng.choice(len(open_to), p=share / share.sum()))][0]

@@ -1,0 +1,33 @@
+"""The expert: asked for an action in any state, it does what its driver's skills do there."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from playlearn.episode import Array, Decision, Goal, Observation
+from playlearn.teleop.driver import Driver
+from playlearn.teleop.hand import Hand, Style
+
+
+class Expert:
+    """An Actor that remembers nothing but its goals; the reference row of every evaluation."""
+
+    name = "expert"
+    cameras: tuple[str, ...] = ()
+
+    def __init__(self, driver: Driver, style: Style | None = None) -> None:
+        self._driver = driver
+        self._style = style or Style()
+        self._goals: list[Array] = []
+
+    def reset(self, goals: Sequence[Goal | None], seeds: Sequence[int]) -> None:
+        self._goals = [np.zeros(0) if goal is None else goal.achieved for goal in goals]
+
+    def act(self, observations: Sequence[Observation], active: Sequence[bool]) -> Sequence[Decision]:
+        return [self.decide(seen, goal) for seen, goal in zip(observations, self._goals, strict=True)]
+
+    def decide(self, seen: Observation, goal: Array) -> Decision:
+        """What to do in this state towards goal (G,)."""
+        hand = Hand.seen(seen)
+        skill = self._driver.towards(hand, seen.achieved, goal)
+        return Decision(skill.act(hand, seen.achieved, self._style), skill=skill.name)

@@ -1,0 +1,156 @@
+"""Closed-loop skills: each is a function of what is seen now and of what it is to bring about.
+
+None remembers anything, so each can take over from any state, and after a slip or a miss it simply
+does what that state asks for. `act` gives the action, `done` says whether its outcome is there.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from playlearn.episode import Array
+from playlearn.teleop.hand import CLOSE, OPEN, REST_YAW, Hand, Style
+
+NEAR, NEAR_HEIGHT, NEAR_YAW = 0.025, 0.012, 0.25  # metres and radians within which a thing is where it should be
+
+
+class Skill(Protocol):
+    """One thing a teleoperator does. name: the annotation that is recorded.
+
+    lasting: its outcome stays by itself, as that of a lift does not.
+    """
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def lasting(self) -> bool: ...
+
+    def act(self, hand: Hand, achieved: Array, style: Style) -> Array: ...
+
+    def done(self, hand: Hand, achieved: Array) -> bool: ...
+
+
+class Thing(Protocol):
+    """Something that a hand can take, carry and put down, read off `achieved`."""
+
+    @property
+    def symmetry(self) -> float:
+        """Turned by so many radians it is the same again; 0 where its yaw does not matter at all."""
+        ...
+
+    def position(self, achieved: Array) -> Array:
+        """(3,) m, of its centre."""
+        ...
+
+    def yaw(self, achieved: Array) -> float:
+        """Where it points, rad, modulo `symmetry`."""
+        ...
+
+    def grasp(self, hand: Hand, achieved: Array) -> tuple[Array, float]:
+        """Where to grip it: (3,) m, and the yaw of the finger axis in rad."""
+        ...
+
+    def held(self, hand: Hand, achieved: Array) -> bool:
+        """Whether it is between closed fingers."""
+        ...
+
+    def clearance(self, place: Array, height: float) -> float:
+        """How far above `place` (3,) to travel, where `height` m would do on an empty table."""
+        ...
+
+
+@dataclass(frozen=True)
+class Carry:
+    """Grasp a thing, bring its centre to `position` (3,) m and turn it to `yaw` rad; let go there, or hold it.
+
+    drop: height in metres above `position` at which it is let go.
+    """
+
+    name: str
+    thing: Thing
+    position: tuple[float, float, float]
+    yaw: float
+    lasting: bool = True
+    drop: float = 0.002
+
+    def act(self, hand: Hand, achieved: Array, style: Style) -> Array:
+        if self.thing.held(hand, achieved):
+            return self._bring(hand, achieved, style)
+        if self.lasting and self._there(achieved):
+            return self._leave(hand, style)
+        return self._fetch(hand, achieved, style)
+
+    def done(self, hand: Hand, achieved: Array) -> bool:
+        held = self.thing.held(hand, achieved)
+        if not self.lasting:
+            return held and abs(self.thing.position(achieved)[2] - self.position[2]) < 0.015
+        return self._there(achieved) and not held and hand.position[2] > self.position[2] + 0.06
+
+    def _there(self, achieved: Array) -> bool:
+        off = self.thing.position(achieved) - self.position
+        near = np.hypot(*off[:2]) < NEAR and abs(off[2]) < NEAR_HEIGHT
+        return bool(near and abs(self._turn(achieved)) < NEAR_YAW)
+
+    def _turn(self, achieved: Array) -> float:
+        """How far it still has to be turned, rad."""
+        return turn(self.thing.yaw(achieved), self.yaw, self.thing.symmetry)
+
+    def _fetch(self, hand: Hand, achieved: Array, style: Style) -> Array:
+        grip, wanted = self.thing.grasp(hand, achieved)
+        off = np.hypot(*(hand.position - grip)[:2])
+        turning = hand.yaw_error(wanted)
+        rise = 4.0 * max(0.0, off - 0.008) + 0.15 * max(0.0, turning - 0.12)
+        above = min(self.thing.clearance(grip, style.approach), rise)
+        down = abs(hand.position[2] - grip[2]) < 0.012 and off < 0.014 and turning < 0.22
+        at_height = grip + up(above)
+        if hand.position[2] < at_height[2] - 0.02:  # rise before moving sideways, or it is knocked over
+            at_height[:2] = hand.position[:2] + 0.3 * (at_height - hand.position)[:2]
+        return hand.move(at_height, wanted, CLOSE if down else OPEN, style.speed)
+
+    def _bring(self, hand: Hand, achieved: Array, style: Style) -> Array:
+        here, target = self.thing.position(achieved), np.array(self.position)
+        goal = target + up(self.drop)
+        off, turning = np.hypot(*(goal - here)[:2]), self._turn(achieved)
+        high = max(self.thing.clearance(target, style.carry), self.thing.clearance(here, style.carry))
+        above = min(high, 4.0 * max(0.0, off - 0.008) + 0.10 * max(0.0, abs(turning) - 0.15))
+        placed = off < 0.014 and abs(turning) < 0.18 and abs(here[2] - goal[2]) < 0.009
+        yaw = hand.yaw + turning
+        if self.lasting and placed:
+            return hand.move(hand.position, yaw, OPEN, style.speed)
+        wanted = hand.position + goal + up(above) - here
+        if wanted[2] > hand.position[2] + 0.02:
+            wanted[:2] = hand.position[:2] + 0.15 * (wanted - hand.position)[:2]
+        return hand.move(wanted, yaw, CLOSE, style.speed)
+
+    def _leave(self, hand: Hand, style: Style) -> Array:
+        rise = hand.position + up(0.08 if hand.opening > 0.05 else 0.0)
+        return hand.move(rise, hand.yaw, OPEN, style.speed)
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Move the empty gripper to `position` (3,) m, aimlessly as people do between two ideas."""
+
+    name: str
+    position: tuple[float, float, float]
+    lasting: bool = True
+
+    def act(self, hand: Hand, achieved: Array, style: Style) -> Array:
+        return hand.move(np.array(self.position), REST_YAW, OPEN, style.speed)
+
+    def done(self, hand: Hand, achieved: Array) -> bool:
+        return bool(np.linalg.norm(hand.position - self.position) < 0.03)
+
+
+def turn(yaw: float, wanted: float, symmetry: float) -> float:
+    """The shortest turn in rad from `yaw` to `wanted`, for a thing that is the same again after `symmetry`."""
+    if symmetry == 0:
+        return 0.0
+    return float((wanted - yaw + symmetry / 2) % symmetry - symmetry / 2)
+
+
+def up(height: float) -> Array:
+    """(3,) `height` metres upwards."""
+    return np.array([0.0, 0.0, height])
