@@ -4,6 +4,7 @@ None remembers anything, so each can take over from any state, and after a slip 
 does what that state asks for. `act` gives the action, `done` says whether its outcome is there.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -13,6 +14,16 @@ from playlearn.episode import Array
 from playlearn.teleop.hand import CLOSE, OPEN, REST_YAW, Hand, Style
 
 NEAR, NEAR_HEIGHT, NEAR_YAW = 0.025, 0.012, 0.25  # metres and radians within which a thing is where it should be
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """A stop of a plan: hand at position (3,) m with its fingers along `yaw` rad and `grip`, then `wait` steps."""
+
+    position: tuple[float, float, float]
+    yaw: float
+    grip: float
+    wait: int = 0
 
 
 class Skill(Protocol):
@@ -30,6 +41,10 @@ class Skill(Protocol):
     def act(self, hand: Hand, achieved: Array, style: Style) -> Array: ...
 
     def done(self, hand: Hand, achieved: Array) -> bool: ...
+
+    def plan(self, hand: Hand, achieved: Array, style: Style) -> Sequence[Waypoint]:
+        """The same as a plan made once, for a player who then follows it without looking again."""
+        ...
 
 
 class Thing(Protocol):
@@ -88,6 +103,22 @@ class Carry:
             return held and abs(self.thing.position(achieved)[2] - self.position[2]) < 0.015
         return self._there(achieved) and not held and hand.position[2] > self.position[2] + 0.06
 
+    def plan(self, hand: Hand, achieved: Array, style: Style) -> Sequence[Waypoint]:
+        grip, yaw = self.thing.grasp(hand, achieved)
+        target = np.array(self.position) + grip - self.thing.position(achieved) + up(self.drop)
+        turned = yaw + self._turn(achieved)
+        over = waypoint(grip + up(self.thing.clearance(grip, style.approach)), yaw, OPEN)
+        away = target + up(self.thing.clearance(target, style.carry))
+        taken = (
+            over,
+            waypoint(grip, yaw, OPEN, wait=1),
+            waypoint(grip, yaw, CLOSE, wait=5),
+            waypoint(grip + up(self.thing.clearance(grip, style.carry)), yaw, CLOSE),
+            waypoint(away, turned, CLOSE),
+            waypoint(target, turned, CLOSE, wait=2),
+        )
+        return (*taken, waypoint(target, turned, OPEN, wait=4), waypoint(away, turned, OPEN)) if self.lasting else taken
+
     def _there(self, achieved: Array) -> bool:
         off = self.thing.position(achieved) - self.position
         near = np.hypot(*off[:2]) < NEAR and abs(off[2]) < NEAR_HEIGHT
@@ -142,6 +173,15 @@ class Reach:
 
     def done(self, hand: Hand, achieved: Array) -> bool:
         return bool(np.linalg.norm(hand.position - self.position) < 0.03)
+
+    def plan(self, hand: Hand, achieved: Array, style: Style) -> Sequence[Waypoint]:
+        return (Waypoint(self.position, REST_YAW, OPEN),)
+
+
+def waypoint(position: Array, yaw: float, grip: float, wait: int = 0) -> Waypoint:
+    """A waypoint at position (3,) m."""
+    x, y, z = map(float, position)
+    return Waypoint((x, y, z), yaw, grip, wait)
 
 
 def turn(yaw: float, wanted: float, symmetry: float) -> float:

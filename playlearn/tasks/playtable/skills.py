@@ -1,5 +1,6 @@
 """The skills of PlayTable beside carrying: pushing a block, sliding the drawer, pressing the button."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +9,7 @@ from playlearn.episode import Array
 from playlearn.tasks.playtable import scene
 from playlearn.tasks.playtable.named import DRAWER, LAMP, block, direction, in_tray
 from playlearn.teleop.hand import CLOSE, OPEN, REST_YAW, Hand, Style
-from playlearn.teleop.skills import up
+from playlearn.teleop.skills import Waypoint, up, waypoint
 
 HIGH = scene.TABLE_Z + 0.14
 POST_GRIP_Z = scene.POST_TOP - 0.015
@@ -76,6 +77,15 @@ class Push:
         left = np.hypot(*(block(achieved, self.index)[:2] - self.position))
         return bool(left < 0.03 and hand.position[2] > scene.TABLE_Z + 0.09)
 
+    def plan(self, hand: Hand, achieved: Array, style: Style) -> Sequence[Waypoint]:
+        pose = block(achieved, self.index)
+        here, target = pose[:2].astype(float), np.array(self.position)
+        way = (target - here) / max(float(np.linalg.norm(target - here)), 1e-6)
+        yaw, low = direction(pose) + np.pi / 2, scene.TABLE_Z + 0.02
+        start, end = np.array([*(here - 0.062 * way), low]), np.array([*(target - 0.03 * way), low])
+        above, clear = start + up(style.approach), end + up(0.1)
+        return tuple(waypoint(place, yaw, CLOSE) for place in (above, start, end, clear))
+
 
 @dataclass(frozen=True)
 class Slide:
@@ -109,6 +119,17 @@ class Slide:
     def done(self, hand: Hand, achieved: Array) -> bool:
         return bool(abs(achieved[DRAWER] - self.opening) <= 0.02 and hand.position[2] > POST_GRIP_Z + 0.05)
 
+    def plan(self, hand: Hand, achieved: Array, style: Style) -> Sequence[Waypoint]:
+        post = np.array([scene.POST_XY[0], scene.POST_XY[1] - float(achieved[DRAWER]), POST_GRIP_Z])
+        end = post - np.array([0.0, self.opening - float(achieved[DRAWER]), 0.0])
+        return (
+            waypoint(post + up(style.approach), REST_YAW, OPEN),
+            waypoint(post, REST_YAW, CLOSE, wait=5),
+            waypoint(end, REST_YAW, CLOSE),
+            waypoint(end, REST_YAW, OPEN, wait=3),
+            waypoint(end + up(0.08), REST_YAW, OPEN),
+        )
+
 
 @dataclass(frozen=True)
 class Press:
@@ -133,3 +154,8 @@ class Press:
 
     def done(self, hand: Hand, achieved: Array) -> bool:
         return bool((achieved[LAMP] > 0.5) == self.lit and hand.position[2] > HIGH - 0.04)
+
+    def plan(self, hand: Hand, achieved: Array, style: Style) -> Sequence[Waypoint]:
+        top = np.array([*scene.BUTTON_XY, scene.BUTTON_TOP + TIP])
+        over = waypoint(top + up(style.approach), REST_YAW, CLOSE)
+        return (over, waypoint(top - up(0.03), REST_YAW, CLOSE, wait=2), over)
