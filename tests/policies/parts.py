@@ -26,6 +26,9 @@ SMALL: dict[str, dict[str, Any]] = {
     "cnn": {"channels": [8, 8], "kernels": [3, 3], "strides": [2, 2], "features": 16, "hidden": 16},
     "torchvision": {"name": "shufflenet_v2_x0_5", "features": 16, "hidden": 16},
     "diffusion": {"width": 32, "blocks": 2, "sample_steps": 3},
+    "flow": {"width": 32, "blocks": 2, "sample_steps": 3},
+    "gaussian": {"hidden": 16},
+    "mog": {"components": 3, "hidden": 16},
     "transformer": {"width": 32, "layers": 2},
     "mlp": {"width": 32, "hidden": 32},
 }

@@ -3,7 +3,18 @@
 import pytest
 import torch
 
-from playlearn.policies.heads import DeterministicConfig, DiffusionConfig, Guidance, draw_noise, masked_mean
+from playlearn.policies.heads import (
+    DeterministicConfig,
+    DiffusionConfig,
+    FlowConfig,
+    GaussianConfig,
+    Guidance,
+    Head,
+    HeadConfig,
+    MixtureConfig,
+    draw_noise,
+    masked_mean,
+)
 from tests.policies.parts import generator
 
 
@@ -33,31 +44,90 @@ def test_the_deterministic_head_finds_the_median_or_the_mean(loss: str, expected
     assert head.mode(torch.ones(1, 1)).item() == pytest.approx(expected, abs=0.03)
 
 
-@pytest.mark.parametrize("prediction", ["sample", "epsilon", "v_prediction"])
-def test_diffusion_recovers_two_modes(prediction: str) -> None:
-    """Data is -1 or +1 (a quarter and three quarters), by whole chunks: samples must be so too, never between.
+def taught_two_modes(config: HeadConfig, updates: int = 400) -> Head:
+    """A head that has seen whole chunks (2, 1) of -1 (a quarter of them) and of +1 (three quarters)."""
+    torch.manual_seed(0)
+    head = config.build(2, 2, 1)
+    optimizer = torch.optim.Adam(head.parameters(), lr=3e-3)
+    rng = generator(1)
+    for _ in range(updates):
+        sign = torch.where(torch.rand(64, generator=rng) < 0.75, 1.0, -1.0)
+        chunk = sign.view(64, 1, 1).expand(64, 2, 1)
+        optimizer.zero_grad()
+        loss, _ = head.loss(torch.ones(64, 2), chunk, torch.ones(64, 2, dtype=torch.bool), rng)
+        loss.backward()
+        optimizer.step()
+    return head
+
+
+MULTIMODAL = {
+    "diffusion": DiffusionConfig(width=64, blocks=2, train_steps=50, sample_steps=10, clip=1.2),
+    "diffusion of noise": DiffusionConfig(
+        width=64, blocks=2, train_steps=50, prediction="epsilon", sample_steps=10, clip=1.2
+    ),
+    "diffusion of v": DiffusionConfig(
+        width=64, blocks=2, train_steps=50, prediction="v_prediction", sample_steps=10, clip=1.2
+    ),
+    "flow": FlowConfig(width=64, blocks=2, sample_steps=20),
+    "mixture": MixtureConfig(components=3, hidden=32),
+}
+
+
+@pytest.mark.parametrize("name", MULTIMODAL)
+def test_a_multimodal_head_recovers_two_modes(name: str) -> None:
+    """Samples must be near -1 or +1, by whole chunks, and never between.
 
     The mean, 0.5, is what a regression would say. Of 400 samples 300 +- 9 (one standard deviation) are
     expected at +1; 60 allows for a network trained for a second.
     """
-    torch.manual_seed(0)
-    config = DiffusionConfig(width=64, blocks=2, train_steps=50, prediction=prediction, sample_steps=10, clip=1.2)  # type: ignore[arg-type]
-    head = config.build(2, 2, 1)
-    optimizer = torch.optim.Adam(head.parameters(), lr=3e-3)
-    rng = generator(1)
-    for _ in range(400):
-        sign = torch.where(torch.rand(64, generator=rng) < 0.75, 1.0, -1.0)
-        optimizer.zero_grad()
-        loss, _ = head.loss(
-            torch.ones(64, 2), sign.view(64, 1, 1).expand(64, 2, 1), torch.ones(64, 2, dtype=torch.bool), rng
-        )
-        loss.backward()
-        optimizer.step()
+    head = taught_two_modes(MULTIMODAL[name])
     with torch.no_grad():
         drawn = head.sample(torch.ones(400, 2), generator(2)).squeeze(-1)  # (400, 2)
     assert ((drawn.abs() - 1).abs() < 0.25).float().mean() > 0.95
     assert (drawn[:, 0].sign() == drawn[:, 1].sign()).float().mean() > 0.95
     assert (drawn[:, 0] > 0).sum().item() == pytest.approx(300, abs=60)
+
+
+def test_one_gaussian_averages_two_modes() -> None:
+    """What the others are for: mean 0.5 and standard deviation sqrt(0.75), where there is no data at all."""
+    head = taught_two_modes(GaussianConfig(hidden=32))
+    assert head.mode(torch.ones(1, 2)).flatten().tolist() == pytest.approx([0.5, 0.5], abs=0.1)
+    drawn = head.sample(torch.ones(2000, 2), generator(2))
+    assert drawn.std().item() == pytest.approx(0.75**0.5, abs=0.08)
+
+
+LIKELY = {"gaussian": GaussianConfig(hidden=8), "mixture": MixtureConfig(components=3, hidden=8, spread=(0.2, 0.8))}
+
+
+@pytest.mark.parametrize("name", LIKELY)
+@pytest.mark.parametrize("dimensions", [1, 2])
+def test_a_likelihood_integrates_to_one_and_is_what_is_sampled(name: str, dimensions: int) -> None:
+    """Quadrature over [-10, 10], where spreads are at most 2 and means near 0, and the mean of 20,000 samples."""
+    torch.manual_seed(3)
+    head = LIKELY[name].build(4, dimensions, 1).double()
+    features = torch.randn(1, 4, generator=generator(4)).double()
+    axis = torch.linspace(-10, 10, 401).double()
+    grid = torch.cartesian_prod(*[axis] * dimensions).view(-1, dimensions, 1)
+    mask = torch.ones(len(grid), dimensions, dtype=torch.bool)
+    with torch.no_grad():
+        density = head.log_prob(features.expand(len(grid), -1), grid, mask).exp()  # type: ignore[operator]
+        drawn = head.sample(features.expand(20000, -1), generator(5)).squeeze(-1)
+    cell = float(axis[1] - axis[0]) ** dimensions
+    assert float(density.sum()) * cell == pytest.approx(1.0, abs=1e-3)
+    expected = (density[:, None] * grid.squeeze(-1)).sum(0) * cell
+    torch.testing.assert_close(drawn.mean(0).double(), expected, atol=0.05, rtol=0)
+
+
+def test_a_masked_step_is_integrated_out() -> None:
+    """Of two independent steps, hiding the second leaves the first's own density."""
+    torch.manual_seed(0)
+    head = GaussianConfig(hidden=8).build(4, 2, 1)
+    features = torch.randn(1, 4, generator=generator())
+    chunk = torch.tensor([[[0.3], [9.0]]])
+    first = head.log_prob(features, chunk, torch.tensor([[True, False]]))
+    second = head.log_prob(features, chunk, torch.tensor([[False, True]]))
+    torch.testing.assert_close(first + second, head.log_prob(features, chunk, torch.tensor([[True, True]])))
+    assert head.log_prob(features, chunk, torch.tensor([[False, False]])) == 0
 
 
 def test_both_samplers_end_where_a_perfect_denoiser_points() -> None:

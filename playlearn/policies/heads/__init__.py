@@ -3,14 +3,20 @@
 from playlearn.policies.heads.base import Generators, Guidance, Head, HeadConfig, draw_noise, masked_mean
 from playlearn.policies.heads.deterministic import DeterministicConfig
 from playlearn.policies.heads.diffusion import DiffusionConfig
+from playlearn.policies.heads.flow import FlowConfig
+from playlearn.policies.heads.gaussian import GaussianConfig
+from playlearn.policies.heads.mog import MixtureConfig
 
 __all__ = [
     "DeterministicConfig",
     "DiffusionConfig",
+    "FlowConfig",
+    "GaussianConfig",
     "Generators",
     "Guidance",
     "Head",
     "HeadConfig",
+    "MixtureConfig",
     "draw_noise",
     "masked_mean",
 ]

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from playlearn.policies.heads.base import Generators, Guidance, Head, HeadConfig, draw_noise, masked_mean
+from playlearn.policies.heads.denoiser import Denoiser
 
 
 @HeadConfig.register_subclass("diffusion")
@@ -43,7 +44,7 @@ class DiffusionHead(Head):
 
         self.config = config
         self.shape = (chunk, actions)
-        self.denoiser = Denoiser(config, width, chunk * actions)
+        self.denoiser = Denoiser(config.width, config.blocks, config.train_steps, width, chunk * actions)
         self.noiser = DDPMScheduler(
             num_train_timesteps=config.train_steps, beta_schedule=config.schedule, prediction_type=config.prediction
         )
@@ -111,51 +112,3 @@ class DiffusionHead(Head):
             warnings.simplefilter("ignore", DeprecationWarning)
             sampler.set_timesteps(config.sample_steps)
         return sampler
-
-
-class Denoiser(nn.Module):
-    """(N, B, H A) noisy chunks, (N, B) times and (B, D) features -> (N, B, H A).
-
-    Scale and shift of a block are a sum of what the features say, computed once an example, and what
-    the time says, looked up: N noised copies of a chunk then cost no more than their own layers.
-    """
-
-    def __init__(self, config: DiffusionConfig, features: int, out: int) -> None:
-        super().__init__()
-        width, blocks = config.width, config.blocks
-        self.enter = nn.Linear(out, width)
-        self.from_features = nn.Linear(features, blocks * 2 * width)
-        self.from_time = nn.Sequential(nn.Linear(64, 128), nn.SiLU(), nn.Linear(128, blocks * 2 * width))
-        self.blocks = nn.ModuleList(_Block(width) for _ in range(blocks))
-        self.leave = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, out))
-        self.register_buffer("times", _sinusoids(config.train_steps, 64), persistent=False)
-
-    def forward(self, noisy: Tensor, time: Tensor, features: Tensor) -> Tensor:
-        table = self.from_time(self.get_buffer("times"))  # (train_steps, 2 W blocks)
-        film = self.from_features(features) + nn.functional.embedding(time, table)  # (N, B, 2 W blocks)
-        hidden = self.enter(noisy)  # (N, B, W)
-        for block, modulation in zip(self.blocks, film.chunk(len(self.blocks), dim=-1), strict=True):
-            hidden = block(hidden, modulation)
-        out: Tensor = self.leave(hidden)
-        return out
-
-
-class _Block(nn.Module):
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.norm = nn.LayerNorm(width, elementwise_affine=False)
-        self.inner = nn.Linear(width, width)
-        self.outer = nn.Linear(width, width)
-
-    def forward(self, hidden: Tensor, film: Tensor) -> Tensor:
-        scale, shift = film.chunk(2, dim=-1)
-        modulated = torch.addcmul(shift, self.norm(hidden), 1 + scale)
-        out: Tensor = hidden + self.outer(nn.functional.silu(self.inner(modulated)))
-        return out
-
-
-def _sinusoids(steps: int, width: int) -> Tensor:
-    """(steps, width): sine and cosine of the step at geometrically spaced frequencies."""
-    frequencies = torch.exp(-torch.arange(width // 2) / (width // 2) * torch.log(torch.tensor(1e4)))
-    angles = torch.arange(steps)[:, None] * frequencies
-    return torch.cat([angles.sin(), angles.cos()], dim=1)

@@ -1,0 +1,20 @@
+"""One Gaussian over a chunk: the baseline that averages what has two answers."""
+
+from dataclasses import dataclass
+
+from playlearn.policies.heads.base import HeadConfig
+from playlearn.policies.heads.mog import MixtureConfig, MixtureHead
+
+
+@HeadConfig.register_subclass("gaussian")
+@dataclass(frozen=True)
+class GaussianConfig(HeadConfig):
+    """hidden, spread, temperature: as of the mixture, of which this is the case of one component."""
+
+    hidden: int = 256
+    spread: tuple[float, float] = (0.02, 2.0)
+    temperature: float = 1.0
+
+    def build(self, width: int, chunk: int, actions: int) -> MixtureHead:
+        mixture = MixtureConfig(1, self.hidden, self.spread, self.temperature)
+        return MixtureHead(mixture, width, chunk, actions)

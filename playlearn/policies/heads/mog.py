@@ -1,0 +1,104 @@
+"""A mixture of Gaussians over whole chunks (Bishop, 1994): several answers, each with its weight and its spread."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from playlearn.policies.heads.base import Generators, Guidance, Head, HeadConfig, draw_noise
+
+
+@HeadConfig.register_subclass("mog")
+@dataclass(frozen=True)
+class MixtureConfig(HeadConfig):
+    """components: K. hidden: units of its one hidden layer.
+
+    spread: least and greatest standard deviation, in those of the data: without a floor the likelihood of
+    a single chunk grows without end. temperature: sharpens (< 1) or flattens the weights, and scales the
+    spreads, of what is sampled.
+    """
+
+    components: int = 5
+    hidden: int = 256
+    spread: tuple[float, float] = (0.02, 2.0)
+    temperature: float = 1.0
+
+    def build(self, width: int, chunk: int, actions: int) -> "MixtureHead":
+        return MixtureHead(self, width, chunk, actions)
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """logits (B, K), mean and log_spread (B, K, H, A)."""
+
+    logits: Tensor
+    mean: Tensor
+    log_spread: Tensor
+
+
+class MixtureHead(Head):
+    def __init__(self, config: MixtureConfig, width: int, chunk: int, actions: int) -> None:
+        super().__init__()
+        self.config = config
+        self.shape = (config.components, chunk, actions)
+        self.sizes = (config.components, math.prod(self.shape), math.prod(self.shape))
+        self.net = nn.Sequential(nn.Linear(width, config.hidden), nn.GELU(), nn.Linear(config.hidden, sum(self.sizes)))
+
+    def loss(
+        self, features: Tensor, chunk: Tensor, mask: Tensor, generator: torch.Generator
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Negative log-likelihood in nats a number (each of the chunk's A numbers at each step)."""
+        numbers = (mask.sum() * self.shape[-1]).clamp(min=1)
+        mixture = self._mixture(features, None)
+        weights = mixture.logits.softmax(-1)
+        used = torch.exp(-(weights * weights.clamp(min=1e-9).log()).sum(-1)).mean()
+        return -_log_prob(mixture, chunk, mask).sum() / numbers, {"components_used": used}
+
+    def log_prob(self, features: Tensor, chunk: Tensor, mask: Tensor) -> Tensor:
+        """(B,) log density of the actions that `mask` (B, H) leaves, in normalised action space."""
+        return _log_prob(self._mixture(features, None), chunk, mask)
+
+    def sample(self, features: Tensor, generator: Generators, guidance: Guidance | None = None) -> Tensor:
+        mixture, temperature = self._mixture(features, guidance), self.config.temperature
+        gumbel = _gumbel(draw_noise(mixture.logits.shape, generator, features.device))
+        chosen = (mixture.logits / temperature + gumbel).argmax(-1)  # a draw from the weights
+        noise = draw_noise((len(features), *self.shape[1:]), generator, features.device)
+        return _of(mixture.mean, chosen) + temperature * _of(mixture.log_spread, chosen).exp() * noise
+
+    def mode(self, features: Tensor, guidance: Guidance | None = None) -> Tensor:
+        """The centre of the component whose peak is the highest."""
+        mixture = self._mixture(features, guidance)
+        peak = mixture.logits - mixture.log_spread.sum((-2, -1))
+        return _of(mixture.mean, peak.argmax(-1))
+
+    def _mixture(self, features: Tensor, guidance: Guidance | None) -> Mixture:
+        parameters = self.net(features)
+        if guidance is not None:
+            parameters = guidance.combine(parameters, self.net(guidance.features))
+        logits, mean, spread = parameters.split(self.sizes, dim=-1)
+        low, high = (math.log(bound) for bound in self.config.spread)
+        log_spread = low + (high - low) * torch.sigmoid(spread + 1.0)
+        return Mixture(logits, mean.unflatten(-1, self.shape), log_spread.unflatten(-1, self.shape))
+
+
+def _log_prob(mixture: Mixture, chunk: Tensor, mask: Tensor) -> Tensor:
+    # where(), not a product: a masked action may be anything, NaN included
+    shown = torch.where(mask.unsqueeze(-1), chunk, 0.0).unsqueeze(1)  # (B, 1, H, A)
+    off = (shown - mixture.mean) / mixture.log_spread.exp()
+    each = -0.5 * off.square() - mixture.log_spread - 0.5 * math.log(2 * math.pi)  # (B, K, H, A)
+    whole = torch.where(mask[:, None, :, None], each, 0.0).sum((-2, -1))
+    weights = torch.where(mask.any(1, keepdim=True), mixture.logits.log_softmax(-1), 0.0)
+    total = torch.logsumexp(weights + whole, dim=-1)
+    return torch.where(mask.any(1), total, 0.0)
+
+
+def _of(values: Tensor, chosen: Tensor) -> Tensor:
+    """(B, K, H, A) and (B,) -> (B, H, A)."""
+    return values[torch.arange(len(values), device=values.device), chosen]
+
+
+def _gumbel(normal: Tensor) -> Tensor:
+    """Standard normal numbers as standard Gumbel ones, through their distribution functions."""
+    uniform = torch.special.ndtr(normal.double()).clamp(1e-12, 1 - 1e-12)
+    return -torch.log(-torch.log(uniform)).to(normal.dtype)
