@@ -6,7 +6,17 @@ picked by `type:`. What a file leaves out keeps the default that the enclosing c
 """
 
 from playlearn.config.load import from_dict, load_config, save_config, to_dict
-from playlearn.config.record import atomic_write, git_revision, versions
+from playlearn.config.record import atomic_write, git_revision, sync_folder, versions
 from playlearn.config.schema import nearest
 
-__all__ = ["atomic_write", "from_dict", "git_revision", "load_config", "nearest", "save_config", "to_dict", "versions"]
+__all__ = [
+    "atomic_write",
+    "from_dict",
+    "git_revision",
+    "load_config",
+    "nearest",
+    "save_config",
+    "sync_folder",
+    "to_dict",
+    "versions",
+]

@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from playlearn.store.base import Store, StoreConfig, StoreSpec, with_images
-from playlearn.store.native import NativeStore, NativeStoreConfig, Writer, episode_path, write_episode
+from playlearn.store.folder import episode_path
+from playlearn.store.native import NativeStore, NativeStoreConfig, Writer, write_episode
 
 __all__ = [
     "NativeStore",

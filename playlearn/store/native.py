@@ -5,20 +5,21 @@
     NAME/.lock                          held by the one writer
 
 Episodes come whole or not at all, in any order; a file that a kill left half written bears another
-name, is never read, and is removed by the next writer.
+name, is never read, and is removed by the next writer. `store.json` is written last, so what bears
+none is no store yet, and whoever was killed while making it may begin again.
 """
 
+import bisect
 import errno
 import json
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import filelock
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,11 +27,12 @@ from playlearn.config import atomic_write
 from playlearn.episode import Array, Episode, EpisodeMeta
 from playlearn.errors import EpisodeError, StoreError
 from playlearn.store.base import StoreConfig, StoreSpec, from_json, summary, to_json, with_images
-from playlearn.store.tensors import TEMPORARY, Header, checksum_holds, map_tensors, read_header, write_tensors
+from playlearn.store.folder import check_free, episode_path, indices, locked, make_folder, strangers, sweep
+from playlearn.store.tensors import DAMAGED, Layout, checksum_holds, map_tensors, read_header, write_tensors
 
 FORMAT, VERSION = "playlearn", 1
-SUFFIX = ".safetensors"
 OPEN_MAPS = 256  # each costs a file descriptor, of which a process has 1,024 by default
+_NAMED = 10  # damaged files in one message
 
 
 @StoreConfig.register_subclass("native")
@@ -54,8 +56,8 @@ class NativeStore:
     def __init__(self, path: Path, spec: StoreSpec) -> None:
         """Used by `open` and `create`."""
         self.path, self.spec = path, spec
-        self._headers: dict[int, Header] = {}
-        self._indices: NDArray[np.int64] = np.zeros(0, np.int64)
+        self._layouts: dict[int, Layout] = {}
+        self._indices: list[int] = []  # ascending
         self._maps: OrderedDict[int, dict[str, Array]] = OrderedDict()
         self._guard = threading.Lock()
         self.refresh()
@@ -72,47 +74,61 @@ class NativeStore:
         return cls(path, _read_spec(path))
 
     @classmethod
-    def create(cls, path: Path | str, spec: StoreSpec) -> "NativeStore":
-        """Make an empty store. Raises StoreError where the folder already holds something."""
-        path = Path(path)
-        if (path / "store.json").exists():
-            raise StoreError(f"{path} is already a store: add to it with --resume, or name another folder")
-        if path.exists() and (not path.is_dir() or any(map(_foreign, path.iterdir()))):
-            raise StoreError(f"{path} already holds something that is not a store: name another folder")
-        (path / "episodes").mkdir(parents=True, exist_ok=True)
-        description = {"format": FORMAT, "version": VERSION, **json.loads(to_json(spec))}
-        atomic_write(path / "store.json", json.dumps(description, indent=2).encode())
+    def create(
+        cls, path: Path | str, spec: StoreSpec, notes: Mapping[str, Callable[[Path], None]] | None = None
+    ) -> "NativeStore":
+        """Make an empty store.
+
+        notes: name -> what writes that file, given its path: what shall lie beside `store.json`. They come
+        before it, so that no store lacks them.
+
+        Raises:
+            StoreError: the folder already holds something, or another process is making it.
+        """
+        path, notes = Path(path), notes or {}
+        check_free(path, notes)
+        make_folder(path / "episodes")
+        with locked(path):
+            check_free(path, notes)  # somebody may have been quicker
+            for name, write in notes.items():
+                write(path / name)
+            description = {"format": FORMAT, "version": VERSION, **json.loads(to_json(spec))}
+            atomic_write(path / "store.json", json.dumps(description, indent=2).encode())
         return cls(path, _read_spec(path))
 
     def refresh(self) -> None:
-        """Look again which episodes are there."""
-        found = sorted(_indices(self.path))
+        """Look again which episodes are there. Raises StoreError naming those that cannot be read."""
+        found = sorted(indices(self.path))
+        layouts, problems = {}, []
         for index in found:
-            if index not in self._headers:
-                self._headers[index] = self._checked_header(episode_path(self.path, index))
-        self._indices = np.array(found, np.int64)
+            try:
+                layouts[index] = self._layouts.get(index) or self._checked(episode_path(self.path, index))
+            except StoreError as error:
+                problems.append(str(error))
+        if problems:
+            more = f"\nand {len(problems) - _NAMED} more" if len(problems) > _NAMED else ""
+            raise StoreError("\n".join(problems[:_NAMED]) + more)
+        self._layouts, self._indices = layouts, found
+
+    def add(self, index: int) -> None:
+        """Show the episode that was just written under `index`, without looking for others."""
+        self._layouts[index] = self._checked(episode_path(self.path, index))
+        bisect.insort(self._indices, index)
 
     @contextmanager
     def writer(self) -> Iterator["Writer"]:
-        """Hold the store's lock and append; what a killed writer left half written is removed first.
+        """Hold the store's lock and append; what a killed writer left half written is removed.
 
         Raises:
             StoreError: another process is writing.
         """
-        lock = filelock.FileLock(self.path / ".lock")
-        try:
-            lock.acquire(timeout=0)
-        except filelock.Timeout as error:
-            raise StoreError(
-                f"{self.path} is being written by another process: wait for it to end (lock: {lock.lock_file})"
-            ) from error
-        try:
-            for left in (*self.path.glob(f"*{TEMPORARY}"), *(self.path / "episodes").glob(f"*{TEMPORARY}")):
-                left.unlink(missing_ok=True)
-            self.refresh()
-            yield Writer(self)
-        finally:
-            lock.release()
+        with locked(self.path):
+            try:
+                sweep(self.path)
+                self.refresh()
+                yield Writer(self)
+            finally:
+                sweep(self.path)  # of workers that died meanwhile
 
     def __len__(self) -> int:
         return len(self._indices)
@@ -120,20 +136,25 @@ class NativeStore:
     def name(self) -> str:
         return str(self.path)
 
+    def last(self) -> int:
+        """The highest number an episode bears, -1 where there is none."""
+        return self._indices[-1] if self._indices else -1
+
     def indices(self) -> NDArray[np.int64]:
-        return self._indices.copy()
+        return np.array(self._indices, np.int64)
 
     def lengths(self) -> NDArray[np.int64]:
-        return np.array([self._headers[int(index)].slots["action"].shape[0] for index in self._indices], np.int64)
+        return np.array([self._layouts[index].slots["action"].shape[0] for index in self._indices], np.int64)
 
     def cameras(self) -> dict[str, tuple[int, int]]:
         return {camera: (int(h), int(w)) for camera, (h, w) in self.spec.cameras.items()}
 
     def meta(self, i: int) -> EpisodeMeta:
-        return from_json(EpisodeMeta, self._headers[self._index(i)].metadata["meta"])
+        return _meta(episode_path(self.path, self._index(i)))[0]
 
     def read(self, i: int) -> Episode:
-        return Episode.from_arrays(self.meta(i), self._arrays(i))
+        arrays = self._arrays(i)
+        return Episode.from_arrays(self.meta(i), arrays)
 
     def array(self, i: int, key: str) -> Array:
         arrays = self._arrays(i)
@@ -146,44 +167,50 @@ class NativeStore:
         return with_images(self.read(i), images, renderer)
 
     def verify(self) -> list[str]:
-        problems = []
+        problems = [f"{path} does not belong here: move it out of the store" for path in strangers(self.path)]
         for i, index in enumerate(self._indices):
-            path = episode_path(self.path, int(index))
-            if not checksum_holds(path, self._headers[int(index)]):
-                problems.append(f"{path}: its checksum does not hold; delete it, or fetch it again")
-                continue
+            path = episode_path(self.path, index)
             try:
-                self.read(i)
-            except EpisodeError as error:
+                if not checksum_holds(path):
+                    problems.append(f"{path}: its checksum does not hold; delete it, or fetch it again")
+                else:
+                    self.read(i)
+            except OSError as error:
+                problems.append(f"{path} cannot be read ({error.strerror}); delete it, or fetch it again")
+            except (EpisodeError, StoreError) as error:
                 problems.append(f"{path}: {error}")
         return problems
 
     def info(self) -> dict[str, Any]:
-        sizes = [self._headers[int(index)].size for index in self._indices]
-        return {"path": str(self.path), "format": FORMAT, "version": VERSION, **summary(self), "bytes": sum(sizes)}
+        there = set(self._indices)
+        return {
+            "path": str(self.path),
+            "format": FORMAT,
+            "version": VERSION,
+            **summary(self),
+            "bytes": sum(self._layouts[index].size for index in self._indices),
+            "missing": [index for index in range(max(there, default=0)) if index not in there],
+        }
 
-    def _checked_header(self, path: Path) -> Header:
-        header = read_header(path)
-        if "meta" not in header.metadata or "action" not in header.slots:
-            raise StoreError(f"{path} is not an episode: move it out of the store")
-        meta = from_json(EpisodeMeta, header.metadata["meta"])
+    def _checked(self, path: Path) -> Layout:
+        meta, layout = _meta(path)
         try:
-            self.spec.check(StoreSpec.of_shapes(meta, {key: slot.shape for key, slot in header.slots.items()}))
+            self.spec.check(StoreSpec.of_shapes(meta, {key: slot.shape for key, slot in layout.slots.items()}))
         except StoreError as error:
             raise StoreError(f"{path}: {error}") from error
-        return header
+        return layout
 
     def _index(self, i: int) -> int:
         if not 0 <= i < len(self._indices):
             raise StoreError(f"{self.path} has {len(self)} episodes, counted from 0: there is no episode {i}")
-        return int(self._indices[i])
+        return self._indices[i]
 
     def _arrays(self, i: int) -> dict[str, Array]:
         index = self._index(i)
         with self._guard:
             arrays = self._maps.get(index)
             if arrays is None:
-                arrays = self._maps[index] = map_tensors(episode_path(self.path, index), self._headers[index])
+                arrays = self._maps[index] = map_tensors(episode_path(self.path, index), self._layouts[index])
                 if len(self._maps) > OPEN_MAPS:
                     self._maps.popitem(last=False)
             else:
@@ -203,13 +230,11 @@ class Writer:
         Raises:
             StoreError: it is another environment's, the index is taken, or the disk is full.
         """
-        taken = self._store.indices()
-        if index is None:
-            index = int(taken.max()) + 1 if len(taken) else 0
-        elif index in taken:
+        index = self._store.last() + 1 if index is None else index
+        if episode_path(self._store.path, index).exists():
             raise StoreError(f"{self._store.path} already has an episode {index}")
         write_episode(self._store.path, index, episode)
-        self._store.refresh()
+        self._store.add(index)
         return index
 
 
@@ -232,23 +257,20 @@ def write_episode(folder: Path | str, index: int, episode: Episode) -> Path:
         reason = (
             "the disk is full" if error.errno in (errno.ENOSPC, errno.EDQUOT) else f"cannot write ({error.strerror})"
         )
-        safe = len(_indices(folder))
+        safe = len(indices(folder))
         raise StoreError(f"{folder}: {reason}; {safe} episodes are safe. Make room and go on with --resume") from error
     return path
 
 
-def episode_path(folder: Path, index: int) -> Path:
-    """Where the episode recorded under `index` lies."""
-    return folder / "episodes" / f"{index:06d}{SUFFIX}"
-
-
-def _foreign(entry: Path) -> bool:
-    """Whether a file is none of those that a kill leaves while a store is made."""
-    return entry.name not in (".lock", "episodes") and not entry.name.endswith(TEMPORARY)
-
-
-def _indices(folder: Path) -> list[int]:
-    return [int(path.stem) for path in (folder / "episodes").glob(f"*{SUFFIX}") if path.stem.isdecimal()]
+def _meta(path: Path) -> tuple[EpisodeMeta, Layout]:
+    """What an episode's file says of it, and where its arrays lie. Raises StoreError where it is no episode."""
+    header = read_header(path)
+    if "meta" not in header.metadata or "action" not in header.layout.slots:
+        raise StoreError(f"{path} is not an episode: move it out of the store")
+    try:
+        return from_json(EpisodeMeta, header.metadata["meta"]), header.layout
+    except DAMAGED as error:
+        raise StoreError(f"{path} cannot be read ({error}): delete it, or fetch it again") from error
 
 
 def _read_spec(folder: Path) -> StoreSpec:

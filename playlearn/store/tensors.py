@@ -33,6 +33,7 @@ _DTYPES = {
 }
 _CODES = {name: code for code, name in _DTYPES.items()}
 _CHUNK = 1 << 22
+DAMAGED = (ValueError, KeyError, TypeError, IndexError, AttributeError, ArithmeticError)  # by JSON that is not ours
 
 
 @dataclass(frozen=True)
@@ -48,14 +49,21 @@ class Slot:
 
 
 @dataclass(frozen=True)
-class Header:
-    """What a file says of itself. start: the byte at which the arrays begin; size: of the whole file."""
+class Layout:
+    """Where everything lies. start: the byte at which the arrays begin; size: of the whole file."""
 
-    metadata: Mapping[str, str]
     slots: Mapping[str, Slot]
-    raw: Mapping[str, Any]
     start: int
     size: int
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a file says of itself: metadata, and its layout. raw: the JSON, for the checksum."""
+
+    metadata: Mapping[str, str]
+    raw: Mapping[str, Any]
+    layout: Layout
 
 
 def write_tensors(path: Path, arrays: Mapping[str, Array], metadata: Mapping[str, str]) -> None:
@@ -103,19 +111,21 @@ def read_header(path: Path) -> Header:
             if name != "__metadata__"
         }
         metadata = dict(raw.get("__metadata__", {}))
+        if any(min((0, *slot.shape)) < 0 or slot.offset < 8 + length for slot in slots.values()):
+            raise ValueError("its header is damaged")
         if any(slot.offset + slot.nbytes() > size for slot in slots.values()):
             raise ValueError("its arrays are cut short")
-    except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+    except (OSError, *DAMAGED) as error:
         raise StoreError(f"{path} cannot be read ({error}): delete it, or fetch it again") from error
-    return Header(metadata, slots, raw, 8 + length, size)
+    return Header(metadata, raw, Layout(slots, 8 + length, size))
 
 
-def map_tensors(path: Path, header: Header) -> dict[str, Array]:
+def map_tensors(path: Path, layout: Layout) -> dict[str, Array]:
     """Every array as a read-only, memory-mapped view; the mapping lives as long as any view of it."""
     try:
         with path.open("rb") as file:
             mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        if len(mapped) != header.size:
+        if len(mapped) != layout.size:
             raise ValueError("its size has changed")
     except (OSError, ValueError) as error:
         raise StoreError(
@@ -123,15 +133,16 @@ def map_tensors(path: Path, header: Header) -> dict[str, Array]:
         ) from error
     return {
         name: np.ndarray(slot.shape, np.dtype(slot.dtype), buffer=mapped, offset=slot.offset)
-        for name, slot in header.slots.items()
+        for name, slot in layout.slots.items()
     }
 
 
-def checksum_holds(path: Path, header: Header) -> bool:
-    """Whether every byte is the one that was written."""
+def checksum_holds(path: Path) -> bool:
+    """Whether every byte is the one that was written. Raises StoreError and OSError where it cannot be read."""
+    header = read_header(path)
     raw = {**header.raw, "__metadata__": {k: v for k, v in header.metadata.items() if k != "sha256"}}
     with path.open("rb") as file:
-        file.seek(header.start)
+        file.seek(header.layout.start)
         return header.metadata.get("sha256") == _digest(raw, iter(lambda: file.read(_CHUNK), b""))
 
 

@@ -1,0 +1,83 @@
+"""The folder of a native store: what lies in it under which name, who may write, what a kill leaves behind."""
+
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import filelock
+
+from playlearn.config import sync_folder
+from playlearn.errors import StoreError
+from playlearn.store.tensors import TEMPORARY
+
+SUFFIX = ".safetensors"
+
+
+def episode_path(folder: Path, index: int) -> Path:
+    """Where the episode recorded under `index` lies."""
+    return folder / "episodes" / f"{index:06d}{SUFFIX}"
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Be the one who writes there; the kernel lets go of the lock when its holder dies."""
+    lock = filelock.FileLock(folder / ".lock")
+    try:
+        lock.acquire(timeout=0)
+    except filelock.Timeout as error:
+        raise StoreError(
+            f"{folder} is being written by another process: wait for it to end (lock: {lock.lock_file})"
+        ) from error
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def check_free(folder: Path, notes: Collection[str]) -> None:
+    """Raises StoreError where a store would be made on top of something."""
+    if (folder / "store.json").exists():
+        raise StoreError(f"{folder} is already a store: add to it with --resume, or name another folder")
+    ours = {".lock", "episodes", *notes}  # what a kill leaves while a store is made
+    if folder.exists() and (not folder.is_dir() or any(path.name not in ours for path in _entries(folder))):
+        raise StoreError(f"{folder} already holds something that is not a store: name another folder")
+    if _entries(folder / "episodes"):
+        raise StoreError(f"{folder} holds episodes but no store.json: put it back, or name another folder")
+
+
+def make_folder(folder: Path) -> None:
+    """Make it and those above it, so that they survive a power cut."""
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in made:
+        sync_folder(path.parent)
+
+
+def sweep(folder: Path) -> None:
+    """Remove what killed writers left half written."""
+    for place in (folder, folder / "episodes"):
+        for left in place.glob(f".*{TEMPORARY}"):
+            left.unlink(missing_ok=True)
+
+
+def indices(folder: Path) -> list[int]:
+    """The numbers of the episodes that are there, in no order."""
+    numbers = (_number(path) for path in (folder / "episodes").glob(f"*{SUFFIX}"))
+    return [number for number in numbers if number is not None]
+
+
+def strangers(folder: Path) -> list[Path]:
+    """What lies among the episodes and is none."""
+    return sorted(path for path in _entries(folder / "episodes") if _number(path) is None)
+
+
+def _entries(folder: Path) -> list[Path]:
+    """What lies there, apart from what is not whole yet."""
+    return [path for path in folder.iterdir() if path.suffix != TEMPORARY] if folder.is_dir() else []
+
+
+def _number(path: Path) -> int | None:
+    """The number an episode's file is named by; None for any other file."""
+    stem = path.name.removesuffix(SUFFIX)
+    number = int(stem) if stem.isascii() and stem.isdecimal() else None
+    return number if number is not None and path.name == episode_path(path, number).name else None
