@@ -17,14 +17,16 @@ from playlearn.teleop.skills import Skill
 class Idea:
     """Something that play may try. kind: what `PlayConfig.weights` calls it.
 
-    possible: (achieved) -> bool. skill: (hand, achieved, rng) -> how it is brought about, with a goal drawn
-    at random; None where there turns out to be no room for it.
+    weight: how often it is tried beside the others, where the config does not say. possible: (achieved) -> bool.
+    skill: (hand, achieved, rng) -> how it is brought about, with a goal drawn at random; None where there turns
+    out to be no room for it.
     """
 
     name: str
     kind: str
     possible: Callable[[Array], bool]
     skill: Callable[[Hand, Array, np.random.Generator], Skill | None]
+    weight: float = 1.0
 
 
 class Driver(Protocol):
@@ -69,8 +71,8 @@ def driver_for(environment: Environment) -> Driver:
 
 
 def pick(ideas: Sequence[Idea], weights: Mapping[str, float], achieved: Array, rng: np.random.Generator) -> Idea | None:
-    """One of the ideas that are possible now, drawn by the weight of its kind; None where there is none."""
-    open_to = [(idea, weights.get(idea.kind, 1.0)) for idea in ideas if idea.possible(achieved)]
+    """One of the ideas that are possible now, or None. weights: of kinds; what it does not name keeps its own."""
+    open_to = [(idea, weights.get(idea.kind, idea.weight)) for idea in ideas if idea.possible(achieved)]
     open_to = [(idea, weight) for idea, weight in open_to if weight > 0]
     if not open_to:
         return None

@@ -26,28 +26,15 @@ _SLIP_STEPS = 9
 class PlayConfig:
     """How somebody plays.
 
-    weights: how often each kind of task is tried, where it can be. speed, approach, carry: ranges of
+    weights: how often each kind of skill is tried, where it can be; what is not named here keeps the weight
+    that its driver gives it. speed, approach, carry: ranges of
     the driver's style, drawn anew for every skill (share of full speed; metres). noise, drift: spread
     of the noise on the executed motion and its AR(1) memory. pause, aimless: how likely before a
     skill; mistake: how likely a skill begins at a misjudged place; slip: how likely a carried block is
     let go on the way.
     """
 
-    weights: dict[str, float] = field(
-        default_factory=lambda: {
-            "lift": 0.6,
-            "push": 1.0,
-            "rotate": 0.8,
-            "place": 1.6,
-            "stow": 1.2,
-            "stack": 1.0,
-            "unstack": 2.0,
-            "unstow": 2.0,
-            "open_drawer": 2.0,
-            "close_drawer": 1.2,
-            "lamp": 1.6,
-        }
-    )
+    weights: dict[str, float] = field(default_factory=dict)
     speed: tuple[float, float] = (0.75, 1.0)
     approach: tuple[float, float] = (0.05, 0.09)
     carry: tuple[float, float] = (0.07, 0.11)

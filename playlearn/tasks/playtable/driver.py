@@ -24,6 +24,20 @@ from playlearn.teleop.skills import Carry, Reach, Skill
 
 OPEN_ENOUGH = 0.11  # metres of drawer opening at which a block can be laid in or taken out
 _HOLLOW = 0.01  # metres above its place at which a block is let go in the tray
+# How often play tries each kind, where it can: more of what is seldom possible.
+_WEIGHTS = {
+    "lift": 0.6,
+    "push": 1.0,
+    "rotate": 0.8,
+    "place": 1.6,
+    "stow": 1.2,
+    "stack": 1.0,
+    "unstack": 2.0,
+    "unstow": 2.0,
+    "open_drawer": 2.0,
+    "close_drawer": 1.2,
+    "lamp": 1.6,
+}
 
 
 class PlayTableDriver:
@@ -84,7 +98,7 @@ class PlayTableDriver:
         def skill(hand: Hand, achieved: Array, rng: np.random.Generator) -> Skill | None:
             return _skill_for(task.name, task.command(achieved, rng), achieved)
 
-        return Idea(task.name, task.kind, task.precondition, skill)
+        return Idea(task.name, task.kind, task.precondition, skill, _WEIGHTS.get(task.kind, 1.0))
 
     def _unstow(self, index: int) -> Idea:
         def possible(achieved: Array) -> bool:
@@ -94,7 +108,7 @@ class PlayTableDriver:
             goal = self._tasks[f"place_{BLOCK_NAMES[index]}"].command(achieved, rng)
             return _carry(goal, index, f"place_{BLOCK_NAMES[index]}")
 
-        return Idea(f"unstow_{BLOCK_NAMES[index]}", "unstow", possible, skill)
+        return Idea(f"unstow_{BLOCK_NAMES[index]}", "unstow", possible, skill, _WEIGHTS["unstow"])
 
 
 def _skill_for(name: str, goal: Array, achieved: Array) -> Skill | None:
