@@ -46,13 +46,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def collect(arguments: argparse.Namespace) -> int:
-    from playlearn.collect import CollectConfig
+    from playlearn.collect import CollectConfig, collect_one
     from playlearn.collect import collect as run
     from playlearn.config import load_config
 
     overrides = _flags(arguments, "episodes", "seed") + arguments.overrides
     config = load_config(CollectConfig, arguments.config, overrides)
-    run(config, arguments.out, workers=arguments.workers, resume=arguments.resume)
+    if arguments.episode is not None:
+        collect_one(config, arguments.out, arguments.episode)
+    else:
+        run(config, arguments.out, workers=arguments.workers, resume=arguments.resume)
     return DONE
 
 
@@ -167,6 +170,13 @@ def _parser() -> argparse.ArgumentParser:
     _workers(made)
     made.add_argument("--seed", type=int, metavar="S", help="the same seed gives the same play")
     made.add_argument("--resume", action="store_true", help="go on with a store that is there, skip what is done")
+    made.add_argument(
+        "--episode",
+        type=_number,
+        metavar="N",
+        help="play episode N alone, in this process, with a traceback if it fails. A new --out becomes a store that "
+        "holds it alone; a store there that lacks it gets it; one that has it is left as it is, and compared",
+    )
 
     made = verb(info, "info", "say what is in a store, and whether it is whole")
     made.add_argument("store", type=Path, metavar="STORE")
@@ -251,6 +261,13 @@ def _count(text: str) -> int:
     if count < 1:
         raise argparse.ArgumentTypeError(f"must be 1 or more, not {text}")
     return count
+
+
+def _number(text: str) -> int:
+    number = int(text)
+    if number < 0:
+        raise argparse.ArgumentTypeError(f"must be 0 or more, not {text}")
+    return number
 
 
 def _workers_count(text: str) -> int:

@@ -6,9 +6,11 @@ software GL: many processes of one thread are quicker than one of many, and sums
 """
 
 import copy
+import faulthandler
 import multiprocessing
 import os
 import signal
+import threading
 import time
 import traceback
 from collections import deque
@@ -29,7 +31,14 @@ SINGLE_THREAD = {**dict.fromkeys(THREADS, "1"), "LP_NUM_THREADS": "0"}
 
 
 class LostError(PlaylearnError):
-    """A job whose worker died or hung every time it was tried."""
+    """A job whose worker died or hung every time it was tried. why: how it ended, in words."""
+
+    def __init__(self, job: "Job", tries: int, why: str) -> None:
+        super().__init__(
+            f"job {job.key} (seed {job.seed}) was lost {tries} times: its worker process {why}. "
+            "Is memory short (dmesg tells)? Run it alone with --workers 1, or with --workers 0 to see it fail here."
+        )
+        self.why = f"its worker process {why}, {tries} times"
 
 
 @dataclass(frozen=True)
@@ -211,11 +220,7 @@ class LocalExecutor:
         if task.tries <= self._retries:
             pending.appendleft(_Task(task.job, task.tries + 1))
             return None
-        message = (
-            f"job {task.job.key} (seed {task.job.seed}) was lost {task.tries} times: its worker process {why}. "
-            "Is memory short (dmesg tells)? Run it alone with --workers 1, or with --workers 0 to see it fail here."
-        )
-        return task.result(None, LostError(message))
+        return task.result(None, LostError(task.job, task.tries, why))
 
 
 @dataclass
@@ -295,6 +300,8 @@ def _dismiss(crew: list[_Worker]) -> None:
 def _serve(pipe: Connection) -> None:
     """A worker's life: do jobs until told to stop or until the parent is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides
+    faulthandler.enable()  # a crash in compiled code says where it was
+    threading.Thread(target=_die_with_parent, daemon=True).start()
     while True:
         try:
             message = pipe.recv()
@@ -309,6 +316,14 @@ def _serve(pipe: Connection) -> None:
             error.add_note(f"in a worker process:\n{traceback.format_exc()}")
             answer = (None, _portable(error))
         _answer(pipe, answer)
+
+
+def _die_with_parent() -> None:
+    """A killed parent leaves nobody behind who would still write where somebody else may write by now."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
 
 
 def _answer(pipe: Connection, answer: tuple[Any, Exception | None]) -> None:

@@ -100,14 +100,15 @@ def rollout(
 
 def _step(take: "_Take", decision: Decision, cameras: Sequence[str]) -> str | None:
     """One control period of one world; why it ended, or None."""
+    action = np.array(decision.action, dtype=np.float32)  # as it is recorded, so that the recording replays exactly
     try:
-        take.environment.step(decision.action)
+        take.environment.step(action)
         observation = take.environment.observe(cameras)
     except SimulationDiverged as error:
         return f"diverged: {error}"
     except ActionError as error:
         return f"refused: {error}"
-    take.record(decision, observation)
+    take.record(action, decision, observation)
     return take.environment.failure()
 
 
@@ -126,8 +127,7 @@ class _Take:
     def __post_init__(self) -> None:
         self._keep(self.latest)
 
-    def record(self, decision: Decision, observation: Observation) -> None:
-        action = np.array(decision.action, dtype=np.float32)
+    def record(self, action: Array, decision: Decision, observation: Observation) -> None:
         label = action if decision.label is None else np.array(decision.label, dtype=np.float32)
         self.decisions.append(Decision(action, label, decision.skill, decision.intervention))
         self.latest = observation

@@ -1,0 +1,16 @@
+"""Recording play: by scripted players on all cores, by a person with a device, and its images drawn afterwards."""
+
+from playlearn.collect.config import CollectConfig, episode_seed
+from playlearn.collect.job import collect, collect_one, play, record
+from playlearn.collect.redraw import redraw, render_store
+
+__all__ = [
+    "CollectConfig",
+    "collect",
+    "collect_one",
+    "episode_seed",
+    "play",
+    "record",
+    "redraw",
+    "render_store",
+]
