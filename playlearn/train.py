@@ -133,7 +133,9 @@ class _Run:
             cameras={camera: (int(h), int(w)) for camera, (h, w) in store.cameras().items()},
             controller=store.meta(0).controller,
         )
-        policy = config.policy.build(self.spec, statistics(self.data), config.seed).to(self.accelerator.device)
+        policy = config.policy.build(self.spec, statistics(self.data), config.seed)
+        policy.fit(torch.as_tensor(self.data.action))
+        policy.to(self.accelerator.device)
         self.ema = averaged(policy, config.ema_decay)
         matrices = [parameter for parameter in policy.parameters() if parameter.ndim > 1]
         vectors = [parameter for parameter in policy.parameters() if parameter.ndim <= 1]
@@ -177,6 +179,7 @@ class _Run:
         for group in self.optimizer.param_groups:
             group["lr"] = config.lr * min(1, (self.step + 1) / max(config.warmup, 1)) * _cosine(self.progress())
         generator = _generator(config.seed, self.step, accelerator.process_index)
+        self.policy.head.updates = self.step
         with accelerator.autocast():
             loss, metrics = self.model(batch.to(accelerator.device), generator)
         self.optimizer.zero_grad()

@@ -88,6 +88,10 @@ class Policy(nn.Module):
     def device(self) -> torch.device:
         return next(self.parameters()).device
 
+    def fit(self, actions: Tensor) -> None:
+        """Let the head look at the training data's actions (n, A), before the first update."""
+        self.head.fit(self.normaliser.normalise("action", actions).unsqueeze(1))
+
     def forward(self, batch: Labelled, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
         """Scalar training loss and its parts; all randomness (goal dropout, augmentation, noise) from `generator`."""
         draws = torch.rand(len(batch.state), generator=generator, device=generator.device)

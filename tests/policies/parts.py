@@ -26,10 +26,13 @@ SMALL: dict[str, dict[str, Any]] = {
     "cnn": {"channels": [8, 8], "kernels": [3, 3], "strides": [2, 2], "features": 16, "hidden": 16},
     "torchvision": {"name": "shufflenet_v2_x0_5", "features": 16, "hidden": 16},
     "diffusion": {"width": 32, "blocks": 2, "sample_steps": 3},
+    "autoregressive": {"bins": 16, "width": 16, "layers": 2, "heads": 2, "soft": 0.0},
+    "cvae": {"hidden": 16, "latent": 4},
     "flow": {"width": 32, "blocks": 2, "sample_steps": 3},
     "gaussian": {"hidden": 16},
     "mog": {"components": 3, "hidden": 16},
     "transformer": {"width": 32, "layers": 2},
+    "lstm": {"width": 32, "layers": 1},
     "mlp": {"width": 32, "hidden": 32},
 }
 ENCODERS = sorted(EncoderConfig.get_known_choices())

@@ -4,6 +4,8 @@ import pytest
 import torch
 
 from playlearn.policies.heads import (
+    AutoregressiveConfig,
+    CVAEConfig,
     DeterministicConfig,
     DiffusionConfig,
     FlowConfig,
@@ -50,7 +52,8 @@ def taught_two_modes(config: HeadConfig, updates: int = 400) -> Head:
     head = config.build(2, 2, 1)
     optimizer = torch.optim.Adam(head.parameters(), lr=3e-3)
     rng = generator(1)
-    for _ in range(updates):
+    for update in range(updates):
+        head.updates = update
         sign = torch.where(torch.rand(64, generator=rng) < 0.75, 1.0, -1.0)
         chunk = sign.view(64, 1, 1).expand(64, 2, 1)
         optimizer.zero_grad()
@@ -70,6 +73,8 @@ MULTIMODAL = {
     ),
     "flow": FlowConfig(width=64, blocks=2, sample_steps=20),
     "mixture": MixtureConfig(components=3, hidden=32),
+    "autoregressive": AutoregressiveConfig(bins=32, width=32, layers=1, soft=0.0),
+    "autoregressive, a step at a time": AutoregressiveConfig(bins=32, order="step", width=32, layers=1, soft=0.0),
 }
 
 
@@ -96,7 +101,11 @@ def test_one_gaussian_averages_two_modes() -> None:
     assert drawn.std().item() == pytest.approx(0.75**0.5, abs=0.08)
 
 
-LIKELY = {"gaussian": GaussianConfig(hidden=8), "mixture": MixtureConfig(components=3, hidden=8, spread=(0.2, 0.8))}
+LIKELY = {
+    "gaussian": GaussianConfig(hidden=8),
+    "mixture": MixtureConfig(components=3, hidden=8, spread=(0.2, 0.8)),
+    "autoregressive": AutoregressiveConfig(bins=20, width=16, layers=1, top_p=1.0),
+}
 
 
 @pytest.mark.parametrize("name", LIKELY)
@@ -106,7 +115,7 @@ def test_a_likelihood_integrates_to_one_and_is_what_is_sampled(name: str, dimens
     torch.manual_seed(3)
     head = LIKELY[name].build(4, dimensions, 1).double()
     features = torch.randn(1, 4, generator=generator(4)).double()
-    axis = torch.linspace(-10, 10, 401).double()
+    axis = torch.arange(-9.975, 10, 0.05).double()  # the middles of 400 cells
     grid = torch.cartesian_prod(*[axis] * dimensions).view(-1, dimensions, 1)
     mask = torch.ones(len(grid), dimensions, dtype=torch.bool)
     with torch.no_grad():
@@ -147,3 +156,41 @@ def test_both_samplers_end_where_a_perfect_denoiser_points() -> None:
 def test_guidance_extrapolates_from_without_to_with_the_goal() -> None:
     guide = Guidance(torch.zeros(1, 1), weight=3.0)
     assert guide.combine(torch.tensor(2.0), torch.tensor(1.0)) == 4.0  # 1 + 3 (2 - 1)
+
+
+@pytest.mark.parametrize("binning", ["uniform", "quantile"])
+def test_made_words_and_numbers_again_an_action_is_at_most_half_a_bin_off(binning: str) -> None:
+    head = AutoregressiveConfig(bins=16, binning=binning, width=8, layers=1, heads=1).build(4, 3, 2)  # type: ignore[arg-type]
+    chunk = torch.randn(50, 3, 2, generator=generator()) * torch.tensor([1.0, 0.2])
+    head.fit(chunk)
+    tokens = head.tokens(chunk)
+    edges = head.get_buffer("edges")
+    width = (edges[:, 1:] - edges[:, :-1])[torch.arange(2), tokens]
+    assert ((head.numbers(tokens) - chunk).abs() <= width / 2 + 1e-4).all()
+    if binning == "quantile":  # 300 numbers in 2 x 16 bins: each holds its share, 9.4
+        counts = torch.stack([torch.bincount(tokens[..., a].flatten(), minlength=16) for a in range(2)])
+        assert counts.min() >= 7
+
+
+@pytest.mark.parametrize("order", ["token", "step", "parallel"])
+def test_decoding_with_a_cache_is_decoding_without(order: str) -> None:
+    """Every word chosen turn by turn is the likeliest one in a single pass over all of them."""
+    torch.manual_seed(1)
+    head = AutoregressiveConfig(bins=8, order=order, width=16, layers=2, heads=2).build(4, 3, 2)  # type: ignore[arg-type]
+    features = torch.randn(5, 4, generator=generator())
+    with torch.no_grad():
+        tokens = head.tokens(head.mode(features))
+        again = head._logits(features, tokens).argmax(-1)
+    assert torch.equal(tokens, again)
+
+
+def test_the_latent_matters_where_there_are_two_answers() -> None:
+    """And chooses between them. It is continuous, so some of it must lead to what lies between: here one in eight."""
+    head = taught_two_modes(CVAEConfig(latent=2, hidden=32, kl=0.1, warmup=100), updates=1500)
+    chunk = torch.tensor([1.0, -1.0]).repeat(50).view(100, 1, 1).expand(100, 2, 1)
+    with torch.no_grad():
+        _, metrics = head.loss(torch.ones(100, 2), chunk, torch.ones(100, 2, dtype=torch.bool), generator())
+        drawn = head.sample(torch.ones(400, 2), generator(2)).squeeze(-1)
+    assert metrics["z_matters"] > 2  # with the other answer's z the error is three times as large or more
+    assert ((drawn.abs() - 1).abs() < 0.25).float().mean() > 0.75
+    assert (drawn[:, 0] > 0).sum().item() == pytest.approx(300, abs=60)

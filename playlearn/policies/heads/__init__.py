@@ -1,6 +1,8 @@
 """Heads: what turns features into a distribution over action chunks, one file a kind."""
 
+from playlearn.policies.heads.autoregressive import AutoregressiveConfig
 from playlearn.policies.heads.base import Generators, Guidance, Head, HeadConfig, draw_noise, masked_mean
+from playlearn.policies.heads.cvae import CVAEConfig
 from playlearn.policies.heads.deterministic import DeterministicConfig
 from playlearn.policies.heads.diffusion import DiffusionConfig
 from playlearn.policies.heads.flow import FlowConfig
@@ -8,6 +10,8 @@ from playlearn.policies.heads.gaussian import GaussianConfig
 from playlearn.policies.heads.mog import MixtureConfig
 
 __all__ = [
+    "AutoregressiveConfig",
+    "CVAEConfig",
     "DeterministicConfig",
     "DiffusionConfig",
     "FlowConfig",

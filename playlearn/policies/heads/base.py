@@ -35,7 +35,15 @@ class Guidance:
 
 
 class Head(nn.Module):
-    """A distribution over (H, A) chunks in normalised action space."""
+    """A distribution over (H, A) chunks in normalised action space.
+
+    updates: how many training has made, for what warms up; beyond any warm-up where nobody trains.
+    """
+
+    updates: int = 10**9
+
+    def fit(self, chunks: Tensor) -> None:
+        """Look at (n, H, A) normalised chunks of the training data, once, before the first update."""
 
     def loss(
         self, features: Tensor, chunk: Tensor, mask: Tensor, generator: torch.Generator

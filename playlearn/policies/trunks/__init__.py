@@ -1,7 +1,8 @@
 """Trunks: what makes features of the goal's and the history's tokens, one file a kind."""
 
 from playlearn.policies.trunks.base import Trunk, TrunkConfig
+from playlearn.policies.trunks.lstm import LSTMConfig
 from playlearn.policies.trunks.mlp import MLPConfig
 from playlearn.policies.trunks.transformer import TransformerConfig
 
-__all__ = ["MLPConfig", "TransformerConfig", "Trunk", "TrunkConfig"]
+__all__ = ["LSTMConfig", "MLPConfig", "TransformerConfig", "Trunk", "TrunkConfig"]

@@ -1,0 +1,251 @@
+"""Actions as words (RT-1, Brohan et al. 2022): every number of a chunk is one of `bins`, predicted in turn.
+
+order     positions   one forward pass gives        passes to sample
+token     H A         the next number               H A, with a key-value cache
+step      H           the A numbers of a step       H, with a key-value cache
+parallel  H           everything at once            1
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal, cast
+
+import torch
+from torch import Tensor, nn
+
+from playlearn.policies.heads.base import Generators, Guidance, Head, HeadConfig, draw_noise
+
+LIMIT = 5.0  # standard deviations that the bins span before `fit` has seen any data
+
+
+@HeadConfig.register_subclass("autoregressive")
+@dataclass(frozen=True)
+class AutoregressiveConfig(HeadConfig):
+    """bins: values a number can take. binning: of equal width, or of equal share of the data.
+
+    order: see the module. width, layers, heads: of the causal decoder. soft: spread, in bins, of the
+    target around the true one, 0 for none. temperature, top_p: of sampling; top_p keeps the likeliest
+    bins that together have that share.
+    """
+
+    bins: int = 256
+    binning: Literal["uniform", "quantile"] = "uniform"
+    order: Literal["token", "step", "parallel"] = "token"
+    width: int = 128
+    layers: int = 2
+    heads: int = 4
+    soft: float = 1.0
+    temperature: float = 1.0
+    top_p: float = 0.95
+
+    def build(self, width: int, chunk: int, actions: int) -> "AutoregressiveHead":
+        return AutoregressiveHead(self, width, chunk, actions)
+
+
+class AutoregressiveHead(Head):
+    def __init__(self, config: AutoregressiveConfig, width: int, chunk: int, actions: int) -> None:
+        super().__init__()
+        self.config = config
+        self.shape = (chunk, actions)
+        self.unit = 1 if config.order == "token" else actions  # numbers that one position stands for
+        self.register_buffer("edges", torch.linspace(-LIMIT, LIMIT, config.bins + 1).repeat(actions, 1))  # (A, K + 1)
+        positions = chunk * actions // self.unit
+        self.enter = nn.Linear(width, config.width)
+        self.words = nn.Embedding(actions * config.bins, config.width)
+        self.places = nn.Parameter(torch.randn(positions, config.width) * 0.1)
+        self.layers = nn.ModuleList(_Layer(config.width, config.heads) for _ in range(config.layers))
+        self.norm = nn.LayerNorm(config.width)
+        self.leave = nn.Parameter(torch.randn(actions, config.bins, config.width) * config.width**-0.5)
+
+    def fit(self, chunks: Tensor) -> None:
+        """Span each action's bins over what the data holds."""
+        values = chunks.flatten(0, -2).T.contiguous()  # (A, n)
+        edges = self.get_buffer("edges")
+        share = torch.linspace(0, 1, self.config.bins + 1)
+        if self.config.binning == "uniform":
+            low, high = values.min(1, keepdim=True).values, values.max(1, keepdim=True).values
+            made = low + (high - low).clamp(min=1e-3) * share
+        else:
+            ranked = values.sort(1).values
+            made = ranked[:, (share * (ranked.shape[1] - 1)).round().long()]
+            # a value that is met often fills several bins: keep each at least a hair wide
+            made = made + 1e-5 * torch.arange(self.config.bins + 1)
+        edges.copy_(made)
+
+    def tokens(self, chunk: Tensor) -> Tensor:
+        """(B, H, A) numbers -> (B, H, A) bins."""
+        edges = self.get_buffer("edges")
+        inner = edges[:, 1:-1].contiguous()  # (A, K - 1)
+        values = chunk.detach().flatten(0, 1).T.contiguous()  # (A, B H)
+        found: Tensor = torch.searchsorted(inner, values, right=True).T.view(chunk.shape)
+        return found
+
+    def numbers(self, tokens: Tensor) -> Tensor:
+        """(B, H, A) bins -> (B, H, A), their centres."""
+        edges = self.get_buffer("edges")
+        centres = (edges[:, 1:] + edges[:, :-1]) / 2
+        return centres[torch.arange(self.shape[1], device=tokens.device), tokens]
+
+    def loss(
+        self, features: Tensor, chunk: Tensor, mask: Tensor, generator: torch.Generator
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Cross-entropy in nats a number."""
+        tokens = self.tokens(torch.where(mask.unsqueeze(-1), chunk, 0.0))
+        logs = self._logits(features, tokens).log_softmax(-1)  # (B, H, A, K)
+        weight = mask.unsqueeze(-1).expand(tokens.shape)
+        count = weight.sum().clamp(min=1)
+        missed = -(self._target(tokens) * logs).sum(-1)
+        right = (logs.argmax(-1) == tokens) & weight
+        return torch.where(weight, missed, 0.0).sum() / count, {"accuracy": right.sum() / count}
+
+    def log_prob(self, features: Tensor, chunk: Tensor, mask: Tensor) -> Tensor:
+        """(B,) log density, constant within a bin and 0 outside all, of the actions that `mask` (B, H) leaves."""
+        shown, edges = torch.where(mask.unsqueeze(-1), chunk, 0.0), self.get_buffer("edges")
+        tokens = self.tokens(shown)
+        logs = self._logits(features, tokens).log_softmax(-1).gather(-1, tokens.unsqueeze(-1)).squeeze(-1)
+        widths = (edges[:, 1:] - edges[:, :-1])[torch.arange(self.shape[1], device=tokens.device), tokens]
+        within = (shown >= edges[:, 0]) & (shown <= edges[:, -1])
+        each = torch.where(within, logs - widths.log(), -torch.inf)
+        total: Tensor = torch.where(mask.unsqueeze(-1), each, 0.0).sum((1, 2))
+        return total
+
+    def sample(self, features: Tensor, generator: Generators, guidance: Guidance | None = None) -> Tensor:
+        normal = draw_noise((len(features), *self.shape), generator, features.device)
+        luck = torch.special.ndtr(normal)  # uniform in (0, 1): where in the cumulated shares the draw falls
+
+        def choose(logits: Tensor, first: int) -> Tensor:
+            share = _top((logits / self.config.temperature).softmax(-1), self.config.top_p)
+            drawn = luck.flatten(1)[:, first : first + logits.shape[1], None]
+            passed: Tensor = share.cumsum(-1) < drawn * share.sum(-1, keepdim=True)
+            return passed.sum(-1).clamp(max=self.config.bins - 1)
+
+        return self._decode(features, guidance, choose)
+
+    def mode(self, features: Tensor, guidance: Guidance | None = None) -> Tensor:
+        """The likeliest number at each turn, given those before it."""
+        return self._decode(features, guidance, lambda logits, _: logits.argmax(-1))
+
+    def _decode(self, features: Tensor, guidance: Guidance | None, choose: Callable[[Tensor, int], Tensor]) -> Tensor:
+        """choose: from logits (B, n, K) of the numbers from `first` on to their bins (B, n)."""
+        count, (steps, actions) = len(features), self.shape
+        given = self.enter(features if guidance is None else torch.cat([features, guidance.features]))
+        if self.config.order == "parallel":
+            logits = self._out(self._pass(given.unsqueeze(1) + self.places))
+            return self.numbers(choose(_guided(logits, guidance).flatten(1, 2), 0).view(count, steps, actions))
+        layers = cast(Sequence[_Layer], self.layers)
+        caches = [_Cache(len(given), len(self.places), layer) for layer in layers]
+        chosen: list[Tensor] = []
+        before = torch.zeros_like(given)
+        for place in range(len(self.places)):
+            hidden = (given + self.places[place] + before).unsqueeze(1)  # (B, 1, W)
+            for layer, cache in zip(layers, caches, strict=True):
+                hidden = layer.next(hidden, cache)
+            weights = self.leave[self._spoken(place)]  # (unit, K, W)
+            logits = torch.einsum("bw,akw->bak", self.norm(hidden[:, 0]), weights)
+            tokens = choose(_guided(logits, guidance), place * self.unit)  # (B, unit)
+            chosen.append(tokens)
+            before = self.words(tokens + self._offsets(place)).sum(1)
+            before = before if guidance is None else before.repeat(2, 1)
+        return self.numbers(torch.cat(chosen, dim=1).view(count, steps, actions))
+
+    def _logits(self, features: Tensor, tokens: Tensor) -> Tensor:
+        """(B, H, A, K) of every number given the true ones before it."""
+        hidden = self.enter(features).unsqueeze(1) + self.places  # (B, positions, W)
+        if self.config.order != "parallel":
+            actions = torch.arange(self.shape[1], device=tokens.device) * self.config.bins
+            told = self.words(tokens + actions)  # (B, H, A, W)
+            told = told.flatten(1, 2) if self.unit == 1 else told.sum(2)
+            hidden = hidden + nn.functional.pad(told[:, :-1], (0, 0, 1, 0))
+        return self._out(self._pass(hidden))
+
+    def _pass(self, hidden: Tensor) -> Tensor:
+        for layer in self.layers:
+            hidden = layer(hidden, causal=self.config.order != "parallel")
+        normed: Tensor = self.norm(hidden)
+        return normed
+
+    def _out(self, hidden: Tensor) -> Tensor:
+        """(B, positions, W) -> (B, H, A, K)."""
+        if self.unit == 1:
+            return torch.einsum("bhaw,akw->bhak", hidden.unflatten(1, self.shape), self.leave)
+        return torch.einsum("bhw,akw->bhak", hidden, self.leave)
+
+    def _spoken(self, place: int) -> slice:
+        """The actions that a position speaks of."""
+        first = place * self.unit % self.shape[1]
+        return slice(first, first + self.unit)
+
+    def _offsets(self, place: int) -> Tensor:
+        return torch.arange(self.shape[1], device=self.places.device)[self._spoken(place)] * self.config.bins
+
+    def _target(self, tokens: Tensor) -> Tensor:
+        """(B, H, A, K) the share of each bin in what is to be predicted."""
+        bins = torch.arange(self.config.bins, device=tokens.device)
+        off = (bins - tokens.unsqueeze(-1)).float()
+        if self.config.soft == 0:
+            return (off == 0).float()
+        return (-0.5 * (off / self.config.soft).square()).softmax(-1)
+
+
+class _Cache:
+    """Keys and values of the positions that a layer has seen, each (B, heads, positions, d)."""
+
+    def __init__(self, batch: int, positions: int, layer: "_Layer") -> None:
+        like = layer.mix.weight
+        shape = (batch, layer.heads, positions, like.shape[0] // layer.heads)
+        self.keys, self.values = like.new_empty(shape), like.new_empty(shape)
+        self.filled = 0
+
+
+class _Layer(nn.Module):
+    """Attention, then a feed-forward network, each on normed input and added to it."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.before, self.between = nn.LayerNorm(width), nn.LayerNorm(width)
+        self.project = nn.Linear(width, 3 * width)
+        self.mix = nn.Linear(width, width)
+        self.feed = nn.Sequential(nn.Linear(width, 4 * width), nn.GELU(), nn.Linear(4 * width, width))
+
+    def forward(self, hidden: Tensor, *, causal: bool) -> Tensor:
+        query, key, value = self._split(hidden)
+        seen = nn.functional.scaled_dot_product_attention(query, key, value, is_causal=causal)
+        return self._add(hidden, seen)
+
+    def next(self, hidden: Tensor, cache: _Cache) -> Tensor:
+        """(B, 1, W): one more position, beside those in the cache."""
+        query, key, value = self._split(hidden)
+        here = cache.filled
+        cache.keys[:, :, here : here + 1], cache.values[:, :, here : here + 1] = key, value
+        cache.filled = here + 1
+        seen = nn.functional.scaled_dot_product_attention(
+            query, cache.keys[:, :, : here + 1], cache.values[:, :, : here + 1]
+        )
+        return self._add(hidden, seen)
+
+    def _split(self, hidden: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        parts = self.project(self.before(hidden)).unflatten(-1, (3, self.heads, -1)).transpose(1, 3)  # (B, h, 3, L, d)
+        query, key, value = parts.unbind(2)
+        return query, key, value
+
+    def _add(self, hidden: Tensor, seen: Tensor) -> Tensor:
+        hidden = hidden + self.mix(seen.transpose(1, 2).flatten(2))
+        out: Tensor = hidden + self.feed(self.between(hidden))
+        return out
+
+
+def _guided(logits: Tensor, guidance: Guidance | None) -> Tensor:
+    """With guidance the batch holds every example twice: with its goal, then without."""
+    if guidance is None:
+        return logits
+    return guidance.combine(*logits.chunk(2))
+
+
+def _top(share: Tensor, top_p: float) -> Tensor:
+    """Only the likeliest bins that together have `top_p` of all (nucleus sampling, Holtzman et al. 2020)."""
+    if top_p >= 1:
+        return share
+    ordered, order = share.sort(-1, descending=True)
+    kept = torch.where(ordered.cumsum(-1) - ordered < top_p, ordered, 0.0)
+    return torch.zeros_like(share).scatter(-1, order, kept)
