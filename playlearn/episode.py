@@ -7,7 +7,7 @@
 observations, achieved goals and simulator states.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
@@ -53,7 +53,7 @@ class Decision:
     """What an actor decided for one environment at one step.
 
     action: (A,) in [-1, 1], executed. label: (A,), what a learner should copy (None: the action).
-    skill: an annotation for analysis. intervention: an expert took over here.
+    skill: an annotation for analysis (see `annotation`). intervention: an expert took over here.
     """
 
     action: Array
@@ -149,6 +149,17 @@ class Episode:
             raise EpisodeError(f"an episode without {', '.join(missing)}")
         images = {key.removeprefix(IMAGES): value for key, value in arrays.items() if key.startswith(IMAGES)}
         return cls(meta=meta, images=images, **{name: arrays[stored] for name, stored in STORED.items()})
+
+
+def annotation(skill: str, marks: Sequence[str] = ()) -> str:
+    """What `Decision.skill` says: the skill's name, then what else is true of the step: `stack_red:planned:slip`."""
+    return ":".join((skill, *marks))
+
+
+def read_annotation(text: str) -> tuple[str, tuple[str, ...]]:
+    """The skill's name and the marks of an `annotation`."""
+    skill, *marks = text.split(":")
+    return skill, tuple(marks)
 
 
 STORED = {

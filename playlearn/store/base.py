@@ -11,7 +11,7 @@ import draccus
 import numpy as np
 from numpy.typing import NDArray
 
-from playlearn.episode import IMAGES, Array, Episode, EpisodeMeta
+from playlearn.episode import IMAGES, Array, Episode, EpisodeMeta, read_annotation
 from playlearn.errors import StoreError
 
 
@@ -141,11 +141,10 @@ def summary(store: Store) -> dict[str, Any]:
     metas = [store.meta(i) for i in range(len(store))]
     skills: dict[str, int] = {}
     for i, meta in enumerate(metas):
-        skill = store.array(i, "skill")
-        begins = np.flatnonzero(np.diff(skill, prepend=-1))
-        for number in skill[begins]:
-            name = meta.skills[number] if meta.skills else ""
-            skills[name] = skills.get(name, 0) + 1
+        names = [read_annotation(text)[0] for text in meta.skills] or [""]
+        own = np.array([names.index(name) for name in names])[store.array(i, "skill")]  # one number a skill
+        for number in own[np.flatnonzero(np.diff(own, prepend=-1))]:
+            skills[names[number]] = skills.get(names[number], 0) + 1
     return {
         "episodes": len(store),
         "steps": int(lengths.sum()),

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from playlearn.episode import IMAGES, Array, Episode
+from playlearn.episode import IMAGES, Array, Episode, read_annotation
 from playlearn.errors import StoreError
 from playlearn.store.base import Store
 
@@ -99,7 +99,8 @@ def features(store: Store, videos: bool) -> dict[str, dict[str, Any]]:
 
 def _task(episode: Episode, t: int) -> str:
     skills = episode.meta.skills
-    return episode.meta.task or (skills[episode.skill[t]].replace("_", " ") if skills else "") or PLAY
+    skill = read_annotation(skills[episode.skill[t]])[0] if skills else ""
+    return episode.meta.task or skill.replace("_", " ") or PLAY
 
 
 @contextmanager

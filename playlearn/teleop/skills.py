@@ -107,17 +107,20 @@ class Carry:
         grip, yaw = self.thing.grasp(hand, achieved)
         target = np.array(self.position) + grip - self.thing.position(achieved) + up(self.drop)
         turned = yaw + self._turn(achieved)
-        over = waypoint(grip + up(self.thing.clearance(grip, style.approach)), yaw, OPEN)
         away = target + up(self.thing.clearance(target, style.carry))
-        taken = (
-            over,
+        taking = (
+            waypoint(grip + up(self.thing.clearance(grip, style.approach)), yaw, OPEN),
             waypoint(grip, yaw, OPEN, wait=1),
             waypoint(grip, yaw, CLOSE, wait=5),
+        )
+        bringing = (
             waypoint(grip + up(self.thing.clearance(grip, style.carry)), yaw, CLOSE),
             waypoint(away, turned, CLOSE),
             waypoint(target, turned, CLOSE, wait=2),
         )
-        return (*taken, waypoint(target, turned, OPEN, wait=4), waypoint(away, turned, OPEN)) if self.lasting else taken
+        leaving = (waypoint(target, turned, OPEN, wait=4), waypoint(away, turned, OPEN))
+        held = self.thing.held(hand, achieved)
+        return (*(() if held else taking), *bringing, *(leaving if self.lasting else ()))
 
     def _there(self, achieved: Array) -> bool:
         off = self.thing.position(achieved) - self.position
@@ -158,6 +161,51 @@ class Carry:
     def _leave(self, hand: Hand, style: Style) -> Array:
         rise = hand.position + up(0.08 if hand.opening > 0.05 else 0.0)
         return hand.move(rise, hand.yaw, OPEN, style.speed)
+
+
+@dataclass(frozen=True)
+class Push:
+    """Push a thing along what it lies on, to `position` (3,) m, with closed fingers turned across the way."""
+
+    name: str
+    thing: Thing
+    position: tuple[float, float, float]
+    lasting: bool = True
+    behind: float = 0.062
+
+    def act(self, hand: Hand, achieved: Array, style: Style) -> Array:
+        here, way, left, yaw = self._course(achieved)
+        low = max(here[2], self.position[2])
+        across = np.array([-way[1], way[0]])
+        offset = hand.position[:2] - here[:2]
+        along, aside = float(offset @ way), float(offset @ across)
+        if left < 0.016:
+            return hand.move(np.array([*hand.position[:2], low + 0.12]), yaw, CLOSE, style.speed)
+        if hand.position[2] < low + 0.012 and along < -0.025 and abs(aside) < 0.02:
+            target = here[:2] + way * (min(left, 0.05) - 0.02) - 1.5 * aside * across
+            return hand.move(np.array([*target, low]), yaw, CLOSE, 0.6 * style.speed)
+        start = here[:2] - self.behind * way
+        miss = float(np.hypot(*(hand.position[:2] - start)))
+        above = min(style.approach, 4.0 * max(0.0, miss - 0.010))
+        return hand.move(np.array([*start, low + above]), yaw, CLOSE, style.speed)
+
+    def done(self, hand: Hand, achieved: Array) -> bool:
+        here, _, left, _ = self._course(achieved)
+        return bool(left < 0.03 and hand.position[2] > here[2] + 0.07)
+
+    def plan(self, hand: Hand, achieved: Array, style: Style) -> Sequence[Waypoint]:
+        here, way, _, yaw = self._course(achieved)
+        start = np.array([*(here[:2] - self.behind * way), here[2]])
+        end = np.array([*(np.array(self.position[:2]) - 0.03 * way), here[2]])
+        stops = (start + up(style.approach), start, end, end + up(0.1))
+        return tuple(waypoint(place, yaw, CLOSE) for place in stops)
+
+    def _course(self, achieved: Array) -> tuple[Array, Array, float, float]:
+        """Where the thing is (3,), the way to its goal (2,), how far that is in m, and the fingers' yaw in rad."""
+        here = self.thing.position(achieved)
+        away = np.array(self.position[:2]) - here[:2]
+        left = float(np.linalg.norm(away))
+        return here, away / max(left, 1e-6), left, float(np.arctan2(away[1], away[0]) + np.pi / 2)
 
 
 @dataclass(frozen=True)
