@@ -21,13 +21,20 @@ class Denoiser(nn.Module):
         self.register_buffer("times", _sinusoids(times, 64), persistent=False)
 
     def forward(self, noisy: Tensor, time: Tensor, features: Tensor) -> Tensor:
-        table = self.from_time(self.get_buffer("times"))  # (times, 2 W blocks)
-        film = self.from_features(features) + nn.functional.embedding(time, table)  # (N, B, 2 W blocks)
+        film = self.from_features(features) + self._film(time)  # (N, B, 2 W blocks)
         hidden = self.enter(noisy)  # (N, B, W)
         for block, modulation in zip(self.blocks, film.chunk(len(self.blocks), dim=-1), strict=True):
             hidden = block(hidden, modulation)
         out: Tensor = self.leave(hidden)
         return out
+
+    def _film(self, time: Tensor) -> Tensor:
+        """What the time says: of the few that are asked for or, where they are many, of all that there are."""
+        times = self.get_buffer("times")
+        if time.numel() < len(times):
+            few: Tensor = self.from_time(times[time])
+            return few
+        return nn.functional.embedding(time, self.from_time(times))
 
 
 class _Block(nn.Module):

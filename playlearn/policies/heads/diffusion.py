@@ -82,7 +82,7 @@ class DiffusionHead(Head):
     def _denoise(self, noisy: Tensor, features: Tensor, guidance: Guidance | None) -> Tensor:
         sampler = self._sampler()
         for step in sampler.timesteps:
-            time = torch.full((1, len(noisy)), int(step), device=noisy.device)
+            time = torch.full((1, 1), int(step), device=noisy.device)
             flat = noisy.flatten(1).unsqueeze(0)  # (1, B, H A)
             predicted = self.denoiser(flat, time, features)
             if guidance is not None:

@@ -60,7 +60,7 @@ class FlowHead(Head):
     def _follow(self, point: Tensor, features: Tensor, guidance: Guidance | None) -> Tensor:
         steps = self.config.sample_steps
         for step in range(steps):
-            time = torch.full((1, len(point)), step * TIMES // steps, device=point.device)
+            time = torch.full((1, 1), step * TIMES // steps, device=point.device)
             flat = point.flatten(1).unsqueeze(0)  # (1, B, H A)
             velocity = self.velocity(flat, time, features)
             if guidance is not None:
