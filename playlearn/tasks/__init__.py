@@ -3,6 +3,8 @@
 To import one is to register it: its config under `environment: {type: ...}`, and who drives it.
 """
 
+from playlearn.tasks.lift import LiftConfig
 from playlearn.tasks.playtable import PlayTableConfig
+from playlearn.tasks.stack import StackConfig
 
-__all__ = ["PlayTableConfig"]
+__all__ = ["LiftConfig", "PlayTableConfig", "StackConfig"]

@@ -1,0 +1,176 @@
+"""What every registered world and its driver must do; a new task is tested the day it is added."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+import playlearn.tasks
+from playlearn.episode import Array, Goal
+from playlearn.errors import ActionError
+from playlearn.rollout import rollout
+from playlearn.sim import EnvironmentConfig, Task
+from playlearn.teleop import PlayConfig, expert_for, player_for
+
+KINDS = sorted(
+    kind
+    for kind, config in EnvironmentConfig.get_known_choices().items()
+    if config.__module__.startswith(playlearn.tasks.__name__)
+)
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def world(request: pytest.FixtureRequest) -> Iterator[Any]:
+    made = EnvironmentConfig.get_choice_class(request.param)().build()
+    yield made
+    made.close()
+
+
+def wander(world: Any, seed: int, steps: int) -> None:
+    rng = np.random.default_rng(seed)
+    for _ in range(steps):
+        world.step(np.append(rng.uniform(-0.5, 0.5, 6), rng.choice([-1, 1])))
+
+
+def begin(world: Any, task: Task, seed: int) -> tuple[Array, Array]:
+    """A start state that suits the task, and its goal."""
+    for draw in range(200):
+        rng = np.random.default_rng([seed, draw])
+        world.reset(1000 * seed + draw)
+        task.arrange(world, rng)
+        start = world.observe().achieved
+        goal = np.asarray(task.command(start, rng), np.float32)
+        if world.failure() is None and task.precondition(start) and not task.judge(start, start, goal):
+            return start, goal
+    pytest.fail(f"{task.name}: no start in 200 draws")
+
+
+def test_what_it_says_of_itself_fits_what_it_shows(world: Any) -> None:
+    world.reset(0)
+    seen = world.observe()
+    assert seen.state.shape == (len(world.spec.state_names),)
+    assert seen.achieved.shape == (len(world.spec.achieved_names),)
+    assert len(set(world.spec.achieved_names)) == len(world.spec.achieved_names)
+    assert all("." in name for name in world.spec.achieved_names)  # of which object it speaks
+    assert all(name == task.name for name, task in world.tasks.items())
+
+
+def test_a_saved_state_goes_on_exactly_as_the_world_did(world: Any) -> None:
+    world.reset(1)
+    wander(world, 1, 5)
+    saved, twin = world.sim_state(), world.clone()
+    wander(world, 2, 15)
+    expected = world.sim_state(), world.observe()
+    wander(twin, 2, 15)
+    np.testing.assert_array_equal(twin.sim_state(), expected[0])
+    world.set_state(saved)
+    np.testing.assert_array_equal(world.sim_state(), saved)
+    wander(world, 2, 15)
+    np.testing.assert_array_equal(world.sim_state(), expected[0])  # bit for bit: nothing hides outside the state
+    np.testing.assert_array_equal(world.observe().state, expected[1].state)
+    np.testing.assert_array_equal(world.observe().achieved, expected[1].achieved)
+
+
+def test_two_that_are_built_alike_start_alike(world: Any) -> None:
+    """A worker builds its own: nothing about the scene may be left to chance."""
+    other = world.config.build()
+    for seed in (0, 1):
+        world.reset(seed)
+        wander(world, seed, 3)
+        other.reset(seed)
+        wander(other, seed, 3)
+        np.testing.assert_array_equal(world.sim_state(), other.sim_state())
+    world.reset(0)
+    assert not np.array_equal(world.sim_state(), other.sim_state())
+
+
+def test_starts_are_sound_and_at_rest(world: Any) -> None:
+    still = np.array([0, 0, 0, 0, 0, 0, -1.0])
+    for seed in range(8):
+        world.reset(seed)
+        start = world.observe().achieved
+        assert world.failure() is None
+        assert np.isfinite(start).all()
+        for _ in range(10):
+            world.step(still)
+        np.testing.assert_allclose(world.observe().achieved, start, atol=0.01, err_msg=f"seed {seed}")
+
+
+def test_bad_actions_are_refused_and_leave_it_alone(world: Any) -> None:
+    world.reset(0)
+    before = world.sim_state()
+    for bad in (np.full(7, np.nan), np.zeros(6), np.full(7, 1.5)):
+        with pytest.raises(ActionError):
+            world.step(bad)
+    np.testing.assert_array_equal(world.sim_state(), before)
+
+
+def test_every_task_has_starts_that_are_not_won_and_goals_that_are(world: Any) -> None:
+    for task in world.tasks.values():
+        start, goal = begin(world, task, 2)
+        assert world.reached(start, start), task.name
+        assert not world.reached(start, goal), task.name
+        assert task.judge(start, goal, goal), task.name
+
+
+def test_the_expert_does_every_task(world: Any) -> None:
+    """Once each, of two tries; how often of hundreds, the suites say."""
+    expert = expert_for(world)
+    for task in world.tasks.values():
+        assert any(_done(world, expert, task, seed) for seed in (3, 4)), task.name
+
+
+def _done(world: Any, expert: Any, task: Task, seed: int) -> bool:
+    start, goal = begin(world, task, seed)
+
+    def content(_: int, seen: Any) -> bool:
+        return task.judge(start, seen.achieved, goal)
+
+    return rollout([world], expert, [Goal(goal)], seeds=[0], max_steps=250, stop=content)[0].ended == "stopped"
+
+
+def test_the_expert_rests_where_nothing_is_to_be_done(world: Any) -> None:
+    world.reset(5)
+    start = world.observe().achieved
+    expert = expert_for(world)
+    expert.reset([Goal(start)], [0])
+    for _ in range(30):
+        world.step(expert.act([world.observe()], [True])[0].action)
+    assert world.reached(world.observe().achieved, start)
+    np.testing.assert_allclose(world.observe().achieved, start, atol=0.02)
+
+
+def test_the_expert_remembers_nothing(world: Any) -> None:
+    """The same state and goal give the same action, whatever it was asked before."""
+    world.reset(6)
+    task = next(iter(world.tasks.values()))
+    _, goal = begin(world, task, 6)
+    fresh, used = expert_for(world), expert_for(world)
+    used.reset([Goal(goal)], [0])
+    for _ in range(25):
+        action = used.act([world.observe()], [True])[0].action
+        np.testing.assert_array_equal(action, fresh.decide(world.observe(), goal).action)
+        assert np.abs(action).max() <= 1
+        world.step(action)
+
+
+def test_play_changes_what_goals_speak_of_and_is_told_by_its_seed(world: Any) -> None:
+    def play() -> Any:
+        world.reset(7)
+        return rollout([world], player_for(world, PlayConfig()), [None], seeds=[7], max_steps=160)[0].episode
+
+    episode, again = play(), play()
+    np.testing.assert_array_equal(episode.action, again.action)
+    np.testing.assert_array_equal(episode.sim_state, again.sim_state)
+    assert not world.reached(episode.achieved[-1], episode.achieved[0]) or len(episode.meta.skills) > 2
+
+
+def test_both_cameras_see_the_world_change(world: Any) -> None:
+    world.reset(8)
+    before = world.observe(world.spec.cameras).images
+    for _ in range(12):
+        world.step(np.array([0.5, 0.3, -0.6, 0, 0, 0, 1.0]))
+    for camera, image in world.observe(world.spec.cameras).images.items():
+        assert image.std() > 10, f"{camera} sees nothing"
+        assert np.abs(image.astype(int) - before[camera]).mean() > 1, f"{camera} does not see the arm move"

@@ -1,0 +1,117 @@
+"""Laws of the worlds of pieces: Lift and Stack are robosuite's own, and any arrangement can be made of any other."""
+
+import numpy as np
+import pytest
+
+from playlearn.episode import Array, Goal
+from playlearn.rollout import rollout
+from playlearn.tasks import LiftConfig, StackConfig
+from playlearn.tasks.pieces import PiecesWorld
+from playlearn.tasks.pieces.world import yaw_code
+from playlearn.teleop import expert_for
+
+
+@pytest.fixture(scope="module")
+def stack() -> PiecesWorld:
+    return StackConfig().build()
+
+
+def robosuite_says(world: PiecesWorld) -> bool:
+    """What robosuite's own environment calls success in the state that the world is in."""
+    env = world.robosuite
+    env.sim.data.qpos[:] = world.data.qpos
+    env.sim.forward()
+    return bool(env._check_success())
+
+
+def reach(world: PiecesWorld, goal: Array, steps: int = 400) -> bool:
+    def there(_: int, seen: object) -> bool:
+        return world.reached(world.achieved(), goal)
+
+    return (
+        rollout([world], expert_for(world), [Goal(goal)], seeds=[0], max_steps=steps, stop=there)[0].ended == "stopped"
+    )
+
+
+@pytest.mark.parametrize("height", [0.822, 0.835, 0.839, 0.845, 0.9])
+def test_lifted_is_what_robosuite_calls_lifted(height: float) -> None:
+    world = LiftConfig().build()
+    world.reset(0)
+    start = world.achieved()
+    world.put("cube_joint0", [0.0, 0.0, height], [1, 0, 0, 0])
+    world._refresh()
+    assert world.tasks["lift_cube"].judge(start, world.achieved(), start) == robosuite_says(world)
+
+
+def test_stacked_is_what_robosuite_calls_stacked(stack: PiecesWorld) -> None:
+    a, b = stack.pieces.all
+    task, agreed = stack.tasks["stack_cubeA"], set()
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        stack.reset(seed)
+        if seed % 2:
+            stack.stack(a, b, rng)
+            stack.refresh()
+        on_top = stack.achieved().copy()
+        on_top[:2], on_top[2] = on_top[5:7], on_top[7] + 0.045
+        judged = task.judge(stack.achieved(), stack.achieved(), on_top)
+        assert judged == robosuite_says(stack), seed
+        agreed.add(judged)
+    assert agreed == {True, False}
+
+
+@pytest.mark.parametrize("turns", [1, 2, 3])
+def test_a_cube_looks_the_same_on_any_of_its_faces(turns: int) -> None:
+    """c and s are (cos, sin) of four times the yaw, whichever face is up."""
+    for yaw in (-0.4, 0.0, 0.7):
+        c, s = np.cos(yaw), np.sin(yaw)
+        flat = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+        quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+        tipped = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+        expected = [np.cos(4 * yaw), np.sin(4 * yaw)]
+        for rest in (np.linalg.matrix_power(quarter, turns), np.linalg.matrix_power(tipped, turns)):
+            np.testing.assert_allclose(yaw_code(flat @ rest, 4), expected, atol=1e-12)
+    np.testing.assert_allclose(yaw_code(flat, 2), [np.cos(1.4), np.sin(1.4)], atol=1e-12)
+
+
+def test_the_expert_turns_a_stack_upside_down(stack: PiecesWorld) -> None:
+    """The lower one cannot go first: what is on it is laid aside, though its own place is taken still."""
+    a, b = stack.pieces.all
+    stack.reset(2)
+    stack.stack(a, b, np.random.default_rng(0))
+    stack.refresh()
+    goal = stack.achieved().copy()
+    goal[[0, 1, 2]], goal[[5, 6, 7]] = (0.05, 0.1, 0.82), (0.05, 0.1, 0.865)  # B on A, elsewhere
+    assert reach(stack, goal)
+
+
+def test_the_expert_swaps_two_cubes(stack: PiecesWorld) -> None:
+    a, b = stack.pieces.all
+    stack.reset(3)
+    stack.lay(a, np.array([0.0, -0.08]), 0.2)
+    stack.lay(b, np.array([0.05, 0.1]), 0.5)
+    stack.refresh()
+    goal = stack.achieved().copy()
+    goal[:2], goal[5:7] = stack.achieved()[5:7], stack.achieved()[:2]
+    assert reach(stack, goal)
+
+
+def test_the_expert_takes_apart_what_touches(stack: PiecesWorld) -> None:
+    """Of the two ways to take a cube, one has no room for a finger."""
+    a, b = stack.pieces.all
+    for side in (np.array([0.046, 0.0]), np.array([0.0, 0.046])):
+        stack.reset(4)
+        stack.lay(a, np.array([0.0, 0.0]), 0.0)
+        stack.lay(b, side, 0.0)
+        stack.refresh()
+        goal = stack.achieved().copy()
+        goal[:2] = (-0.1, -0.1)
+        assert reach(stack, goal)
+
+
+def test_what_falls_off_ends_the_episode(stack: PiecesWorld) -> None:
+    stack.reset(5)
+    stack.lay(stack.pieces.all[0], np.array([0.6, 0.0]), 0.0)
+    for _ in range(12):
+        stack.step(np.zeros(7))
+    assert stack.failure() == "the cubeA fell off the table"
