@@ -31,7 +31,8 @@ class Batch:
     goal_achieved (B, G) float32, goal_images camera -> (B, h, w, 3) uint8: the goal's observation.
     action (B, H, A) float32: the labels of the steps t ... t+H-1; the last is repeated past the end.
     action_mask (B, H) bool: False past the end, past a mistake, and past the goal where the dataset was told so.
-    steps_to_goal (B,) int64: how many actions lie between t and the goal, at least 1.
+    steps_to_goal (B,) int64: how many actions lie between t and the goal; 0 where none leads there (a goal of
+        another episode, or of the past).
     """
 
     state: torch.Tensor
@@ -149,7 +150,7 @@ class PlayDataset:
         return self.episodes[self._episode[indices]], self._t[indices]
 
     def goals(self, epoch: int | Indices, indices: Indices) -> Indices:
-        """(n,) the goal observation of each example in an epoch."""
+        """(n,) the goal observation of each example in an epoch, counted from its episode's first (see GoalSampler)."""
         uniforms = counter_uniforms(self.seed, epoch, indices, UNIFORMS)
         return self._sampler.draw(self.table, self._episode[indices], self._t[indices], uniforms)
 
@@ -172,20 +173,23 @@ class PlayDataset:
         seen = np.maximum(past, 0)
         rows = self.table.rows[episode][:, None] + seen
         ahead = t[:, None] + np.arange(config.chunk)  # (B, H)
-        limit = np.minimum(length, goal) if config.mask_after_goal else length
+        leads = (goal > t) & (goal <= length)
+        limit = np.where(leads, goal, length) if config.mask_after_goal else length
         limit = np.minimum(limit, self._last[self.table.starts[episode] + t] + 1)
         labels = self.table.starts[episode][:, None] + np.minimum(ahead, length[:, None] - 1)
-        goals = goal[:, None]
+        goal_row = self.table.rows[episode] + goal
+        shown = np.searchsorted(self.table.rows, goal_row, side="right") - 1  # the goal's episode
+        goals = (goal_row - self.table.rows[shown])[:, None]
         return Batch(
             state=torch.from_numpy(self.state[rows]),
             achieved=torch.from_numpy(self.achieved[rows]),
             images={camera: self._frames(camera, episode, seen) for camera in config.cameras},
             history_mask=torch.from_numpy(past >= 0),
-            goal_achieved=torch.from_numpy(self.achieved[self.table.rows[episode] + goal]),
-            goal_images={camera: self._frames(camera, episode, goals)[:, 0] for camera in config.goal_cameras},
+            goal_achieved=torch.from_numpy(self.achieved[goal_row]),
+            goal_images={camera: self._frames(camera, shown, goals)[:, 0] for camera in config.goal_cameras},
             action=torch.from_numpy(self.action[labels]),
             action_mask=torch.from_numpy(ahead < limit[:, None]),
-            steps_to_goal=torch.from_numpy(goal - t),
+            steps_to_goal=torch.from_numpy(np.where(leads, goal - t, 0)),
         )
 
     def batches(self, batch_size: int, start_step: int = 0, rank: int = 0, ranks: int = 1) -> Iterator[Batch]:

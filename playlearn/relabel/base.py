@@ -14,14 +14,17 @@ UNIFORMS = 2  # random numbers that one draw may use
 
 
 class GoalSampler(Protocol):
-    """Which later moment of its own episode becomes the goal of step t. Pure and vectorised."""
+    """Which moment, a later one of its own episode as a rule, becomes the goal of step t. Pure and vectorised."""
 
     def valid(self, table: Table, episodes: Indices, t: Indices) -> NDArray[np.bool_]:
         """(n,) whether a goal can be drawn for step t of each episode, 0 <= t < T."""
         ...
 
     def draw(self, table: Table, episodes: Indices, t: Indices, uniforms: NDArray[np.float64]) -> Indices:
-        """(n,) goal observations g, t < g <= T, for valid steps.
+        """(n,) goal observations g for valid steps, counted from the episode's first; t < g <= T as a rule.
+
+        Strategies of negatives may go back, or (g < 0, g > T) on into the episodes beside it, as the
+        table's flat numbering does: the goal is row `table.rows[episode] + g`.
 
         uniforms: (n, UNIFORMS) independent numbers in [0, 1), the only source of chance, so that an
         example's goal depends on its own numbers alone and never on the batch it stands in.

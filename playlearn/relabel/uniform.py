@@ -21,8 +21,17 @@ class UniformConfig(GoalSamplerConfig):
         return Uniform(self.horizon)
 
 
+@GoalSamplerConfig.register_subclass("future")
+@dataclass(frozen=True)
+class FutureConfig(GoalSamplerConfig):
+    """Any later moment of the episode, however far: HER's strategy "future" (Andrychowicz et al., 2017)."""
+
+    def build(self) -> GoalSampler:
+        return Uniform(horizon=1e9)
+
+
 class Uniform:
-    """HER's strategy "future" (Andrychowicz et al., 2017), within a horizon."""
+    """See `UniformConfig`."""
 
     def __init__(self, horizon: float) -> None:
         self._horizon = horizon

@@ -19,7 +19,8 @@ from playlearn.relabel import (
 )
 from tests.synthetic import ACHIEVED, FPS, make_episode
 
-KINDS = sorted(GoalSamplerConfig.get_known_choices())
+NEGATIVES = {"random", "episode"}  # HER's strategies that ask for what was not reached afterwards
+KINDS = sorted(set(GoalSamplerConfig.get_known_choices()) - NEGATIVES)
 
 
 def _table(lengths: tuple[int, ...] = (300, 1, 37, 200)) -> Table:
@@ -76,6 +77,26 @@ def test_an_example_does_not_depend_on_its_batch(config: GoalSamplerConfig) -> N
     uniforms = np.random.default_rng(0).random((len(t), UNIFORMS))
     some = np.random.default_rng(1).permutation(len(t))[:50]
     np.testing.assert_array_equal(sampler.draw(TABLE, episodes[some], t[some], uniforms[some]), goals[some])
+
+
+@pytest.mark.parametrize("kind", sorted(NEGATIVES))
+def test_negatives_are_even_over_where_they_come_from(kind: str) -> None:
+    """Chi-square over 20 equal parts: 19 degrees of freedom have mean 19 and standard deviation 6.2."""
+    config = GoalSamplerConfig.get_choice_class(kind)()
+    table = _table((400, 400))
+    sampler, n = config.build(), 40_000
+    episodes, t = np.ones(n, np.int64), np.full(n, 399)
+    uniforms = np.random.default_rng(0).random((n, UNIFORMS))
+    rows = table.rows[1] + sampler.draw(table, episodes, t, uniforms)
+    low, high = {"random": (0, 802), "episode": (401, 802)}[kind]
+    assert rows.min() >= low
+    assert rows.max() < high
+    if kind == "episode":
+        assert (rows != 401 + 399).all()  # never where it stands
+    counts, _ = np.histogram(rows, bins=20, range=(low, high))
+    width = np.diff(np.ceil(np.linspace(low, high, 21)))  # rows in each part
+    expected = n * width / width.sum()
+    assert ((counts - expected) ** 2 / expected).sum() < 19 + 5 * 6.2
 
 
 def test_settled_goals_are_settled(config: GoalSamplerConfig) -> None:
