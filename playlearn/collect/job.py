@@ -42,6 +42,7 @@ def collect(config: CollectConfig, out: Path, *, workers: int | None = None, res
         PlaylearnError: episodes that failed, with the command that plays each again alone.
     """
     environment = world(config.environment)
+    player_for(environment, config.play)  # a kind of skill that nobody offers is said now, not in a worker
     store = begin(config, environment, out, resume=resume)
     with store.writer():
         done = set(store.indices().tolist())

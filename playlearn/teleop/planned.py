@@ -26,7 +26,7 @@ PEAK = 1.875  # a minimum-jerk motion's highest speed over its mean
 FASTEST, TURNING = 0.0125, 0.05  # metres and radians in a step that a full action brings about
 _AHEAD = 4  # steps by which the arm lags behind a target that moves
 _NEAR, _NEAR_YAW = 0.008, 0.12  # metres and radians within which a waypoint is reached
-_LATE = 10  # steps for which it is waited for
+_LATE = 10  # steps for which a hand that is late is waited for, where the plan stops anyway
 _EMPTY = 0.004  # metres between the fingers, below which they hold nothing
 
 
@@ -86,8 +86,8 @@ class Plan:
         """A step was made. Fingers that close on nothing are felt: the plan is given up."""
         leg = self._legs[0]
         self._step += 1
-        late = self._step >= leg.steps + _LATE
-        if self._waited or late or (self._step >= leg.steps and leg.reached(hand)):
+        passed = leg.end.wait == 0 or leg.reached(hand) or self._step >= leg.steps + _LATE
+        if self._waited or (self._step >= leg.steps and passed):
             self._waited += 1
         self._opened = self._opened or leg.begin.grip == OPEN
         if self._opened and hand.opening < _EMPTY and leg.begin.grip != OPEN:
