@@ -145,6 +145,18 @@ def export(arguments: argparse.Namespace) -> int:
     return DONE
 
 
+def lab(arguments: argparse.Namespace) -> int:
+    from playlearn.lab import load_experiment
+    from playlearn.lab import run as measure
+
+    experiment = load_experiment(arguments.config, arguments.overrides)
+    rows = measure(experiment, arguments.out, lambda words: print(words, file=sys.stderr, flush=True))
+    for row in rows:
+        print("  ".join(f"{name} {value}" for name, value in row.items() if not isinstance(value, list)))
+    print(f"plot  {arguments.out / 'plot.png'}")
+    return DONE
+
+
 def doctor(arguments: argparse.Namespace) -> int:
     from playlearn.doctor import doctor as run
 
@@ -219,6 +231,9 @@ def _parser() -> argparse.ArgumentParser:
     made.add_argument("store", type=Path, metavar="STORE")
     made.add_argument("out", type=Path, metavar="OUT")
     made.add_argument("--videos", action="store_true", help="encode the cameras as video instead of images")
+
+    made = verb(lab, "lab", "run a small experiment and plot what came out", free=True)
+    _config(made, "configs/lab/NAME.yaml")
 
     made = verb(doctor, "doctor", "say what this machine has, what is missing, and the command that mends it")
     _json(made)
