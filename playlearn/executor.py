@@ -38,7 +38,7 @@ class LostError(PlaylearnError):
             f"job {job.key} (seed {job.seed}) was lost {tries} times: its worker process {why}. "
             "Is memory short (dmesg tells)? Run it alone with --workers 1, or with --workers 0 to see it fail here."
         )
-        self.why = f"its worker process {why}, {tries} times"
+        self.why = f"its worker process {why} (tries: {tries})"
 
 
 @dataclass(frozen=True)

@@ -28,13 +28,6 @@ def same(a: NativeStore, b: NativeStore) -> None:
             np.testing.assert_array_equal(value, other.arrays()[name], err_msg=name)
 
 
-def test_resumed_in_pieces_and_by_other_workers_gives_the_same_store(tmp_path: Path) -> None:
-    collect(SMALL, tmp_path / "whole", workers=0)
-    collect(dataclasses.replace(SMALL, episodes=1), tmp_path / "pieces", workers=0)
-    collect(SMALL, tmp_path / "pieces", workers=2, resume=True)
-    same(NativeStore.open(tmp_path / "whole"), NativeStore.open(tmp_path / "pieces"))
-
-
 def test_images_drawn_afterwards_equal_those_drawn_live(tmp_path: Path) -> None:
     live = dataclasses.replace(SMALL, episodes=1, cameras=("front", "wrist"))
     try:

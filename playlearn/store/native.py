@@ -269,6 +269,8 @@ def _meta(path: Path) -> tuple[EpisodeMeta, Layout]:
         raise StoreError(f"{path} is not an episode: move it out of the store")
     try:
         return from_json(EpisodeMeta, header.metadata["meta"]), header.layout
+    except StoreError as error:
+        raise StoreError(f"{path}: {error}") from error
     except DAMAGED as error:
         raise StoreError(f"{path} cannot be read ({error}): delete it, or fetch it again") from error
 

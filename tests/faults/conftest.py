@@ -1,0 +1,21 @@
+from pathlib import Path
+
+import pytest
+
+from playlearn.collect import job
+from playlearn.config import save_config
+from tests.faults import point
+
+
+@pytest.fixture(autouse=True)
+def _points(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In this process too, the player of the fake world plays."""
+    monkeypatch.setattr(job, "player_for", point.player)
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    """The file of `point.config()`."""
+    path = tmp_path / "collect.yaml"
+    save_config(point.config(), path)
+    return path
