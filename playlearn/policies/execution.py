@@ -16,13 +16,28 @@ from playlearn.policies.policy import Policy
 
 @dataclass
 class _Row:
-    """What is remembered of one environment. plans: (moment planned at, chunk (H, A)), newest last."""
+    """What is remembered of one environment.
+
+    plans: (moment planned at, chunk (H, A)), newest last. planned: how many there were. luck: the generator's
+    state when it was last drawn from afresh.
+    """
 
     goal: Goal
     generator: torch.Generator
     history: deque[Observation]
     plans: list[tuple[int, Array]] = field(default_factory=list)
     moment: int = -1
+    planned: int = 0
+    luck: Tensor | None = None
+
+    def ready(self, keep: int) -> torch.Generator:
+        """The generator for the next plan: as it was before the last one, where that one's luck is to be kept."""
+        if self.luck is None or self.planned % keep == 0:
+            self.luck = self.generator.get_state()
+        else:
+            self.generator.set_state(self.luck)
+        self.planned += 1
+        return self.generator
 
 
 class PolicyActor:
@@ -90,7 +105,8 @@ class PolicyActor:
     def _plan(self, due: list[_Row]) -> None:
         # a row that is not due must not draw noise from its own generator
         spare = torch.Generator()
-        generators = [row.generator if row in due else spare for row in self._rows]
+        keep = self.policy.head.keep
+        generators = [row.ready(keep) if row in due else spare for row in self._rows]
         chunks = self.policy.act(self._inputs(), generators, self.guidance).numpy()
         for row, chunk in zip(self._rows, chunks, strict=True):
             if row in due:

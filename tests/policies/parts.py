@@ -30,6 +30,7 @@ SMALL: dict[str, dict[str, Any]] = {
     "cvae": {"hidden": 16, "latent": 4},
     "flow": {"width": 32, "blocks": 2, "sample_steps": 3},
     "gaussian": {"hidden": 16},
+    "latent_plan": {"hidden": 16, "latent": 4},
     "mog": {"components": 3, "hidden": 16},
     "transformer": {"width": 32, "layers": 2},
     "lstm": {"width": 32, "layers": 1},

@@ -18,7 +18,7 @@ class Counting:
 
     def __init__(self) -> None:
         made = policy()
-        self.config, self.spec, self.cameras = made.config, made.spec, made.cameras
+        self.config, self.spec, self.cameras, self.head = made.config, made.spec, made.cameras, made.head
         self.plans = 0
         self.seen: list[Inputs] = []
 
@@ -110,6 +110,17 @@ def test_an_episode_is_a_function_of_its_seed() -> None:
     seen = observation(rng)
     one, two = actor.act([seen, seen], [True, True])
     assert not np.array_equal(one.action, two.action), "another seed must draw another chunk"
+
+
+def test_a_plan_keeps_its_luck_for_as_long_as_the_head_says() -> None:
+    """The same is seen at every step, so only luck can change what is done: here with every third chunk."""
+    made = policy(head="diffusion")
+    made.head.keep = 3
+    actor, rng = PolicyActor(made, execute=1), np.random.default_rng(0)
+    actor.reset([goal(rng)], [0])
+    seen = observation(rng)
+    done = [tuple(actor.act([seen], [True])[0].action.tolist()) for _ in range(9)]
+    assert [done.index(action) for action in done] == [0, 0, 0, 3, 3, 3, 6, 6, 6]
 
 
 def test_goals_and_settings_are_checked() -> None:

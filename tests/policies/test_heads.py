@@ -13,6 +13,7 @@ from playlearn.policies.heads import (
     Guidance,
     Head,
     HeadConfig,
+    LatentPlanConfig,
     MixtureConfig,
     draw_noise,
     masked_mean,
@@ -182,6 +183,15 @@ def test_decoding_with_a_cache_is_decoding_without(order: str) -> None:
         tokens = head.tokens(head.mode(features))
         again = head._logits(features, tokens).argmax(-1)
     assert torch.equal(tokens, again)
+
+
+def test_a_proposed_plan_is_one_that_was_recognised() -> None:
+    """With two answers in the data, its draws lead to both, in their shares, and seldom to what is between."""
+    head = taught_two_modes(LatentPlanConfig(latent=2, hidden=32, kl=0.1), updates=1000)
+    with torch.no_grad():
+        drawn = head.sample(torch.ones(400, 2), generator(2)).squeeze(-1)
+    assert ((drawn.abs() - 1).abs() < 0.25).float().mean() > 0.75
+    assert (drawn[:, 0] > 0).sum().item() == pytest.approx(300, abs=60)
 
 
 def test_the_latent_matters_where_there_are_two_answers() -> None:

@@ -7,6 +7,7 @@ from playlearn.policies.heads.deterministic import DeterministicConfig
 from playlearn.policies.heads.diffusion import DiffusionConfig
 from playlearn.policies.heads.flow import FlowConfig
 from playlearn.policies.heads.gaussian import GaussianConfig
+from playlearn.policies.heads.latent_plan import LatentPlanConfig
 from playlearn.policies.heads.mog import MixtureConfig
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "Guidance",
     "Head",
     "HeadConfig",
+    "LatentPlanConfig",
     "MixtureConfig",
     "draw_noise",
     "masked_mean",

@@ -38,9 +38,11 @@ class Head(nn.Module):
     """A distribution over (H, A) chunks in normalised action space.
 
     updates: how many training has made, for what warms up; beyond any warm-up where nobody trains.
+    keep: chunks in a row that are to be sampled with the same noise, so that one choice lasts so long.
     """
 
     updates: int = 10**9
+    keep: int = 1
 
     def fit(self, chunks: Tensor) -> None:
         """Look at (n, H, A) normalised chunks of the training data, once, before the first update."""

@@ -1,0 +1,122 @@
+"""Latent plans from play (Lynch et al. 2019): what a stretch of play did, named by a recogniser that sees it whole.
+
+The window is the chunk. In training a recogniser reads the whole of it and names its plan z; a proposer,
+which sees only the present and the goal, learns to propose such plans; a decoder acts on the plan. To act,
+a plan is drawn from the proposer, and its draw is kept for `keep` chunks: what is chosen among several
+possible plans is then one choice, while what it means follows what is seen.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from playlearn.policies.heads.base import Generators, Guidance, Head, HeadConfig, draw_noise, masked_mean
+
+
+@HeadConfig.register_subclass("latent_plan")
+@dataclass(frozen=True)
+class LatentPlanConfig(HeadConfig):
+    """latent: numbers in a plan. hidden: units of each hidden layer. keep: chunks acted on with one draw.
+
+    kl: weight of the divergence of recogniser and proposer, against the error of one number of the chunk.
+    balance: share of it that moves the proposer towards the recogniser, rather than the other way round
+    (KL balancing, Hafner et al. 2021). free: nats a latent number may differ without being charged.
+    """
+
+    latent: int = 16
+    hidden: int = 256
+    keep: int = 2
+    kl: float = 0.01
+    balance: float = 0.8
+    free: float = 0.02
+
+    def build(self, width: int, chunk: int, actions: int) -> "LatentPlanHead":
+        return LatentPlanHead(self, width, chunk, actions)
+
+
+@dataclass(frozen=True, eq=False)
+class _Plans:
+    """A normal distribution over plans: mean and log standard deviation, each (B, Z)."""
+
+    mean: Tensor
+    log_spread: Tensor
+
+    def draw(self, noise: Tensor) -> Tensor:
+        return self.mean + self.log_spread.exp() * noise
+
+    def detached(self) -> "_Plans":
+        return _Plans(self.mean.detach(), self.log_spread.detach())
+
+
+class LatentPlanHead(Head):
+    def __init__(self, config: LatentPlanConfig, width: int, chunk: int, actions: int) -> None:
+        super().__init__()
+        self.config = config
+        self.keep = config.keep
+        self.shape = (chunk, actions)
+        hidden, latent = config.hidden, config.latent
+        # Both ways along the window, as a plan is told by all of it.
+        self.reader = nn.GRU(actions + 1, hidden // 2, batch_first=True, bidirectional=True)
+        self.recogniser = _mlp(width + hidden, hidden, 2 * latent)
+        self.proposer = _mlp(width, hidden, 2 * latent)
+        self.decoder = nn.Sequential(
+            _mlp(width + latent, hidden, hidden), nn.GELU(), nn.Linear(hidden, chunk * actions)
+        )
+
+    def loss(
+        self, features: Tensor, chunk: Tensor, mask: Tensor, generator: torch.Generator
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """`proposed`: the error with the proposer's plan, which is what acting will see."""
+        config = self.config
+        seen, proposed = self._recognise(features, chunk, mask), _plans(self.proposer(features))
+        noise = draw_noise(seen.mean.shape, generator, seen.mean.device)
+        error = masked_mean((self._decode(features, seen.draw(noise)) - chunk).abs(), mask)
+        forward, back = _divergence(seen.detached(), proposed), _divergence(seen, proposed.detached())
+        divergence = config.balance * forward.clamp(min=config.free) + (1 - config.balance) * back.clamp(
+            min=config.free
+        )
+        with torch.no_grad():
+            without = masked_mean((self._decode(features, proposed.draw(noise)) - chunk).abs(), mask)
+        metrics = {"error": error, "proposed": without, "kl": back.sum()}
+        return error + config.kl * divergence.sum(), metrics
+
+    def sample(self, features: Tensor, generator: Generators, guidance: Guidance | None = None) -> Tensor:
+        noise = draw_noise((len(features), self.config.latent), generator, features.device)
+        return self._act(features, noise, guidance)
+
+    def mode(self, features: Tensor, guidance: Guidance | None = None) -> Tensor:
+        """The chunk of the likeliest plan."""
+        return self._act(features, features.new_zeros(len(features), self.config.latent), guidance)
+
+    def _act(self, features: Tensor, noise: Tensor, guidance: Guidance | None) -> Tensor:
+        chunk = self._decode(features, _plans(self.proposer(features)).draw(noise))
+        if guidance is None:
+            return chunk
+        other = self._decode(guidance.features, _plans(self.proposer(guidance.features)).draw(noise))
+        return guidance.combine(chunk, other)
+
+    def _recognise(self, features: Tensor, chunk: Tensor, mask: Tensor) -> _Plans:
+        shown = torch.where(mask.unsqueeze(-1), chunk, 0.0)
+        read = self.reader(torch.cat([shown, mask.unsqueeze(-1).to(shown.dtype)], dim=-1))[0].mean(1)  # (B, hidden)
+        return _plans(self.recogniser(torch.cat([features, read], dim=-1)))
+
+    def _decode(self, features: Tensor, plan: Tensor) -> Tensor:
+        chunk: Tensor = self.decoder(torch.cat([features, plan], dim=-1)).unflatten(-1, self.shape)
+        return chunk
+
+
+def _mlp(inputs: int, hidden: int, out: int) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(inputs, hidden), nn.GELU(), nn.Linear(hidden, out))
+
+
+def _plans(parameters: Tensor) -> _Plans:
+    mean, log_spread = parameters.chunk(2, dim=-1)
+    return _Plans(mean, log_spread.clamp(-5, 2))
+
+
+def _divergence(one: _Plans, other: _Plans) -> Tensor:
+    """(Z,) Kullback-Leibler divergence of `one` from `other` in nats, the mean over the batch."""
+    ratio = 2 * (one.log_spread - other.log_spread)
+    off = (one.mean - other.mean) / other.log_spread.exp()
+    return (0.5 * (ratio.exp() + off.square() - 1 - ratio)).mean(0)
