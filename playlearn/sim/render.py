@@ -1,8 +1,11 @@
 """Small images of a scene, quickly: simplified visual meshes, no multisampling, one GL context a process."""
 
+import atexit
 import functools
+import importlib
 import os
 from collections.abc import Callable
+from typing import Any
 
 import fast_simplification
 import mujoco
@@ -43,11 +46,11 @@ class Renderer:
 
     def set_state(self, qpos: Array, extra: Array) -> None:
         """Place everything: qpos (nq,), and what `paint` shows."""
+        self._paint(self._model, extra)
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        self._paint(self._model, extra)
 
     def draw(self, camera: str, height: int, width: int) -> Array:
         """(h, w, 3) uint8, upright, of the state last set."""
@@ -85,13 +88,14 @@ class Renderer:
 
 
 @functools.cache
-def _gl_context(width: int, height: int) -> "mujoco.gl_context.GLContext":
-    os.environ.setdefault("MUJOCO_GL", "egl")
+def _gl_context(width: int, height: int) -> Any:
+    platform = os.environ.setdefault("MUJOCO_GL", "egl").lower()
     try:
-        from mujoco import gl_context
-
-        context = gl_context.GLContext(width, height)
+        # Not `mujoco.gl_context`, which chose when mujoco was first imported, perhaps before we could say egl.
+        name = {"egl": "mujoco.egl", "osmesa": "mujoco.osmesa"}.get(platform, "mujoco.gl_context")
+        context = importlib.import_module(name).GLContext(width, height)
         context.make_current()
+        atexit.register(context.free)  # while the modules that it needs to be freed are still there
     except Exception as error:
         raise RenderError(
             f"no headless OpenGL ({error}): install it with `apt-get install libegl1 libgl1-mesa-dri`, "

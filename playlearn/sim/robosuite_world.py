@@ -7,16 +7,18 @@ loop around MuJoCo is ours, because robosuite spends most of a control step in P
 import contextlib
 import copy
 import warnings
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Self
 
 import mujoco
 import numpy as np
 
+import playlearn.sim.robots  # noqa: F401 - registers them
 from playlearn.episode import Array, Observation
 from playlearn.errors import ActionError, SimulationDiverged, UsageError
 from playlearn.sim.environment import CameraConfig, EnvironmentSpec
-from playlearn.sim.osc import osc_torques, rotation_error
+from playlearn.sim.osc import ArmControl
 from playlearn.sim.render import Renderer
 
 STATE_NAMES = (
@@ -60,46 +62,52 @@ class RobosuiteWorld:
         robot = robosuite_env.robots[0]
         arm = robot.part_controllers["right"]
         self._xml = robosuite_env.model.get_xml()
-        self.model = mujoco.MjModel.from_xml_string(self._xml)
+        self.model = _physics(self._xml)
+        self._xml = _placed(self._xml, self.model, robosuite_env.sim.model._model)
         self.model.opt.timestep = robosuite_env.sim.model.opt.timestep
-        self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.data = mujoco.MjData(self.model)
         self._home = robosuite_env.sim.data.qpos.copy()
-        self._substeps = round(robosuite_env.control_timestep / self.model.opt.timestep)
         self._site = int(robot.eef_site_id["right"])
-        self._base = self._site_id(f"{arm.naming_prefix}{arm.part_name}_center")
         self._arm_qpos = np.asarray(arm.qpos_index, np.int64)
-        self._arm_qvel = np.asarray(arm.qvel_index, np.int64)
-        self._arm_ctrl = np.asarray(robot._ref_arm_joint_actuator_indexes, np.int64)
-        self._torque_range = self.model.actuator_ctrlrange[self._arm_ctrl].copy()
         self._rest = np.asarray(robot.init_qpos, float)[: len(self._arm_qpos)]
-        self._kp, self._kd = np.asarray(arm.kp, float), np.asarray(arm.kd, float)
-        self._scale = (np.asarray(arm.output_max) - np.asarray(arm.output_min)) / 2
+        scale = (np.asarray(arm.output_max) - np.asarray(arm.output_min)) / 2
+        self._arm = ArmControl(
+            self.model,
+            self.data,
+            site=self._site,
+            base=self._site_id(f"{arm.naming_prefix}{arm.part_name}_center"),
+            qpos=arm.qpos_index,
+            qvel=arm.qvel_index,
+            ctrl=robot._ref_arm_joint_actuator_indexes,
+            kp=arm.kp,
+            kd=arm.kd,
+            scale=scale,
+            rest=self._rest,
+            substeps=round(robosuite_env.control_timestep / self.model.opt.timestep),
+        )
         self._gripper_model = robot.gripper["right"]
         self._gripper_ctrl = np.asarray(robot._ref_joint_gripper_actuator_indexes["right"], np.int64)
         limits = self.model.actuator_ctrlrange[self._gripper_ctrl]
         self._gripper_centre, self._gripper_half = limits.mean(1), (limits[:, 1] - limits[:, 0]) / 2
         fingers = self._gripper_model.important_geoms
-        self._fingers = (self._geom_id(fingers["left_fingerpad"][0]), self._geom_id(fingers["right_fingerpad"][0]))
+        pads = [pad for side in ("left", "right") for pad in fingers.get(f"{side}_fingerpad", [])[:1]]
+        self._fingers = [self._geom_id(pad) for pad in pads]  # none where the hand is a tool
         self._gripper: Array = np.zeros(len(self._gripper_ctrl))
-        self._jacobian = np.zeros((6, self.model.nv))
-        self._mass = np.zeros((self.model.nv, self.model.nv))
-        self._position, self._rotation = np.zeros(3), np.eye(3)
         self.extra = np.zeros(extra)
         self._cameras = dict(cameras)
         self._draw = _Drawing(self._xml, faces, paint)
         self.spec = EnvironmentSpec(
             state_names=STATE_NAMES,
             achieved_names=tuple(achieved_names),
-            action_names=ACTION_NAMES,
+            action_names=ACTION_NAMES[: 6 + self._gripper_model.dof],
             cameras=tuple(cameras),
             fps=float(robosuite_env.control_freq),
             controller={
                 "type": "OSC_POSE",
                 "robot": type(robot.robot_model).__name__,
-                "kp": self._kp.tolist(),
-                "kd": self._kd.tolist(),
-                "output_max": (self._scale).tolist(),
+                "kp": np.asarray(arm.kp).tolist(),
+                "kd": np.asarray(arm.kd).tolist(),
+                "output_max": scale.tolist(),
             },
         )
         unknown = [name for name in cameras if mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_CAMERA, name) < 0]
@@ -124,8 +132,8 @@ class RobosuiteWorld:
     def clone(self) -> Self:
         twin = copy.copy(self)
         twin.data = mujoco.MjData(self.model)
-        for name in ("_gripper", "extra", "_jacobian", "_mass", "_position", "_rotation"):
-            setattr(twin, name, getattr(self, name).copy())
+        twin._arm = self._arm.clone(twin.data)
+        twin._gripper, twin.extra = self._gripper.copy(), self.extra.copy()
         twin.set_state(self.sim_state())
         return twin
 
@@ -148,8 +156,8 @@ class RobosuiteWorld:
 
     def settle(self, steps: int = 6) -> None:
         """Let everything come to rest under a still arm with its gripper opening; time starts at 0."""
-        still = np.zeros(len(ACTION_NAMES))
-        still[-1] = -1.0
+        still = np.zeros(len(self.spec.action_names))
+        still[6:] = -1.0
         for _ in range(steps):
             self.step(still)
         self.data.qvel[:] = 0.0
@@ -175,19 +183,14 @@ class RobosuiteWorld:
 
     def step(self, action: Array) -> None:
         action = self._checked(action)
-        model, data = self.model, self.data
-        before = data.time
+        before = self.data.time
         self._gripper_model.current_action = self._gripper
-        self._gripper = np.asarray(self._gripper_model.format_action(action[6:]), float)
+        if len(action) > 6:
+            self._gripper = np.asarray(self._gripper_model.format_action(action[6:]), float)
+        self.data.ctrl[self._gripper_ctrl] = self._gripper_centre + self._gripper_half * self._gripper
         try:
-            for substep in range(self._substeps):
-                mujoco.mj_step1(model, data)
-                if substep == 0:
-                    self._set_goal(action)
-                data.ctrl[self._arm_ctrl] = self._torques()
-                data.ctrl[self._gripper_ctrl] = self._gripper_centre + self._gripper_half * self._gripper
-                mujoco.mj_step2(model, data)
-        except (mujoco.FatalError, np.linalg.LinAlgError) as error:  # no contacts it can solve, or no inertia
+            self._arm.step(action[:6])
+        except SimulationDiverged as error:
             raise SimulationDiverged(f"the simulation gave up at {before:.2f} s: {error}") from error
         self._check_physics(before)
         self._refresh()
@@ -215,48 +218,14 @@ class RobosuiteWorld:
     # Inside ---------------------------------------------------------------------------------------
 
     def _checked(self, action: Array) -> Array:
-        action = np.asarray(action, float)
-        if action.shape != (len(ACTION_NAMES),):
-            raise ActionError(f"an action must have shape ({len(ACTION_NAMES)},), got {action.shape}")
+        action, names = np.asarray(action, float), self.spec.action_names
+        if action.shape != (len(names),):
+            raise ActionError(f"an action must have shape ({len(names)},), got {action.shape}")
         if not np.isfinite(action).all():
-            raise ActionError(f"the action is not finite: {dict(zip(ACTION_NAMES, action.tolist(), strict=True))}")
+            raise ActionError(f"the action is not finite: {dict(zip(names, action.tolist(), strict=True))}")
         if np.abs(action).max() > 1 + 1e-6:
             raise ActionError(f"actions lie in [-1, 1], got {action.round(3).tolist()}")
         return action.clip(-1, 1)
-
-    def _set_goal(self, action: Array) -> None:
-        """Position and rotation to hold for this control period: the present pose, moved in the base's frame."""
-        base = self.data.site_xmat[self._base].reshape(3, 3)
-        delta = action[:6] * self._scale
-        turn = np.empty(9)
-        quaternion = np.array([1.0, 0.0, 0.0, 0.0])
-        angle = float(np.linalg.norm(delta[3:]))
-        if angle > 0:
-            mujoco.mju_axisAngle2Quat(quaternion, delta[3:] / angle, angle)
-        mujoco.mju_quat2Mat(turn, quaternion)
-        present = self.data.site_xmat[self._site].reshape(3, 3)
-        self._position = self.data.site_xpos[self._site] + base @ delta[:3]
-        self._rotation = base @ turn.reshape(3, 3) @ base.T @ present
-
-    def _torques(self) -> Array:
-        model, data = self.model, self.data
-        mujoco.mj_jacSite(model, data, self._jacobian[:3], self._jacobian[3:], self._site)
-        mujoco.mj_fullM(model, self._mass, data.qM)
-        torques = osc_torques(
-            self._mass[np.ix_(self._arm_qvel, self._arm_qvel)],
-            np.ascontiguousarray(self._jacobian[:, self._arm_qvel]),
-            data.qfrc_bias[self._arm_qvel],
-            self._position - data.site_xpos[self._site],
-            rotation_error(self._rotation, data.site_xmat[self._site].reshape(3, 3)),
-            self._kp,
-            self._kd,
-            data.qpos[self._arm_qpos],
-            data.qvel[self._arm_qvel],
-            self._rest,
-        )
-        low, high = self._torque_range.T
-        clipped: Array = np.clip(torques, low, high)
-        return clipped
 
     def _check_physics(self, before: float) -> None:
         data = self.data
@@ -271,10 +240,11 @@ class RobosuiteWorld:
     def _refresh(self) -> None:
         """Bring positions in line with qpos, which integration left one substep behind."""
         mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_comPos(self.model, self.data)
 
     def _opening(self) -> float:
-        """Distance between the finger pads' surfaces in metres."""
+        """Distance between the finger pads' surfaces in metres, 0 without fingers."""
+        if not self._fingers:
+            return 0.0
         return self._pad_gap() - self._finger_gap_closed()
 
     def _pad_gap(self) -> float:
@@ -310,6 +280,32 @@ class _Drawing:
         if self._renderer is None:
             self._renderer = Renderer(*self._parts)
         return self._renderer
+
+
+def _placed(xml: str, ours: mujoco.MjModel, theirs: mujoco.MjModel) -> str:
+    """Put bodies where robosuite's reset has put them in its compiled model (a door, a bin); the XML that says so."""
+    root = ElementTree.fromstring(xml)
+    for body in root.iter("body"):
+        if "name" not in body.attrib:
+            continue
+        ident = theirs.body(body.get("name")).id
+        here = np.concatenate([theirs.body_pos[ident], theirs.body_quat[ident]])
+        if not np.array_equal(here, np.concatenate([ours.body_pos[ident], ours.body_quat[ident]])):
+            for other in {"axisangle", "euler", "xyaxes", "zaxis"} & body.attrib.keys():
+                del body.attrib[other]
+            body.set("pos", " ".join(map(repr, here[:3].tolist())))
+            body.set("quat", " ".join(map(repr, here[3:].tolist())))
+    ours.body_pos[:], ours.body_quat[:] = theirs.body_pos, theirs.body_quat
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _physics(xml: str) -> mujoco.MjModel:
+    """What moves and touches: without what is only looked at or sensed, which costs a sixth and changes no bit."""
+    spec = mujoco.MjSpec.from_string(xml)
+    spec.compiler.discardvisual = True
+    model = spec.compile()
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_SENSOR)
+    return model
 
 
 @contextlib.contextmanager
