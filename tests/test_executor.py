@@ -32,6 +32,14 @@ def die_until(marks: str, times: int) -> int:
     return tries
 
 
+def leave(code: int) -> None:
+    os._exit(code)
+
+
+def crash() -> None:
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
 def sleep(seconds: float) -> str:
     time.sleep(seconds)
     return "slept"
@@ -105,6 +113,17 @@ def test_a_job_lost_too_often_is_named(tmp_path: Path) -> None:
     assert len(list(marks.iterdir())) == 3, "the first try and two more"
 
 
+@pytest.mark.parametrize(
+    ("job", "words"), [(Job(0, leave, {"code": 3}), "exit code 3"), (Job(0, crash), "SIGSEGV")], ids=["exit", "crash"]
+)
+def test_how_a_worker_ended_is_told(job: Job, words: str, capfd: pytest.CaptureFixture[str]) -> None:
+    """What crashes in compiled code also says where: its Python stack."""
+    with pytest.raises(LostError, match=words) as raised:
+        list(local(1, retries=0).build().run([job]))
+    assert words in raised.value.why
+    assert ("in crash" in capfd.readouterr().err) == (words == "SIGSEGV")
+
+
 def test_keep_going_yields_the_lost_one_and_finishes_the_others(tmp_path: Path) -> None:
     jobs = [Job("bad", die_until, {"marks": str(tmp_path), "times": 9})]
     jobs += [Job(seed, draw, {"seed": seed}) for seed in range(2)]
@@ -141,8 +160,16 @@ def test_a_caller_that_stops_listening_leaves_no_process_behind() -> None:
         os.kill(first.value[0], 0)
 
 
-def test_ctrl_c_stops_parent_and_children(tmp_path: Path) -> None:
-    """SIGINT to the whole process group, as a terminal sends it: one KeyboardInterrupt, no orphan, no noise."""
+def alive(process: int) -> bool:
+    """Whether it still runs; one that is over may stay listed where nobody asks how it ended."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def busy(tmp_path: Path) -> tuple["subprocess.Popen[bytes]", list[int]]:
+    """A process whose two workers are in the middle of something, and theirs."""
     script = tmp_path / "job.py"
     script.write_text(
         "import os, sys, time\n"
@@ -169,6 +196,23 @@ def test_ctrl_c_stops_parent_and_children(tmp_path: Path) -> None:
         time.sleep(0.05)
         children = [int(path.name.removeprefix("child-")) for path in tmp_path.glob("child-*")]
     assert len(children) == 2
+    return process, children
+
+
+def test_a_killed_parent_leaves_no_worker_behind(tmp_path: Path) -> None:
+    """They would sleep for a minute; within a second they are gone, before anybody else takes their place."""
+    process, children = busy(tmp_path)
+    process.kill()
+    process.communicate(timeout=10)
+    until = time.monotonic() + 5
+    while any(map(alive, children)) and time.monotonic() < until:
+        time.sleep(0.02)
+    assert not any(map(alive, children))
+
+
+def test_ctrl_c_stops_parent_and_children(tmp_path: Path) -> None:
+    """SIGINT to the whole process group, as a terminal sends it: one KeyboardInterrupt, no orphan, no noise."""
+    process, children = busy(tmp_path)
     os.killpg(process.pid, signal.SIGINT)
     _, errors = process.communicate(timeout=120)
     assert process.returncode == 130
