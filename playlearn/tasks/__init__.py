@@ -3,8 +3,9 @@
 To import one is to register it: its config under `environment: {type: ...}`, and who drives it.
 """
 
+from playlearn.tasks.door import DoorConfig
 from playlearn.tasks.lift import LiftConfig
 from playlearn.tasks.playtable import PlayTableConfig
 from playlearn.tasks.stack import StackConfig
 
-__all__ = ["LiftConfig", "PlayTableConfig", "StackConfig"]
+__all__ = ["DoorConfig", "LiftConfig", "PlayTableConfig", "StackConfig"]

@@ -52,7 +52,9 @@ class TabletopWorld(RobosuiteWorld):
 
     name: what it is registered as; options go to its constructor. view: of the front camera.
     absent: names of objects that the scene has and the task does without; they hang far away.
-    extra, paint: as RobosuiteWorld has them.
+    standing: names of objects without a free joint that robosuite stands elsewhere at every reset; where they
+    stand is kept in `extra`, seven numbers each. extra: how many numbers the subclass keeps after these.
+    paint: as RobosuiteWorld has it.
 
     A subclass offers `_achieved`, `failure`, `reached` and `tasks`, and may override `_arrange`, which
     places everything as robosuite itself does.
@@ -66,6 +68,7 @@ class TabletopWorld(RobosuiteWorld):
         view: View,
         *,
         absent: Sequence[str] = (),
+        standing: Sequence[str] = (),
         extra: int = 0,
         paint: Callable[[mujoco.MjModel, Array], None] | None = None,
         **options: Any,
@@ -91,7 +94,15 @@ class TabletopWorld(RobosuiteWorld):
                 _hang(self.robosuite, thing)
             return self.robosuite
 
-        super().__init__(build, achieved_names, config.cameras, config.faces, extra, paint or _nothing)
+        bodies = [f"{thing}_main" for thing in standing]
+
+        def show(model: mujoco.MjModel, kept: Array) -> None:
+            _stand(model, bodies, kept)
+            if paint is not None:
+                paint(model, kept[7 * len(bodies) :])
+
+        super().__init__(build, achieved_names, config.cameras, config.faces, extra + 7 * len(bodies), show)
+        self._absent, self._standing, self._stands = tuple(absent), tuple(standing), bodies
 
     def achieved(self) -> Array:
         return self._achieved()
@@ -109,18 +120,23 @@ class TabletopWorld(RobosuiteWorld):
         """After changing a start state by hand: let it come to rest and observe it anew."""
         self.settle()
 
-    def _arrange(self, rng: np.random.Generator) -> None:
-        for position, quaternion, thing in self._placements(rng):
-            for joint in thing.joints[:1]:
-                self.put(joint, position, quaternion)
+    def step(self, action: Array) -> None:
+        _stand(self.model, self._stands, self.extra)  # another world on the same model may have stood them elsewhere
+        super().step(action)
 
-    def _placements(self, rng: np.random.Generator) -> list[tuple[Array, Array, Any]]:
-        """Position (3,), quaternion (4,) and model of each object, drawn by robosuite's own sampler."""
+    def _refresh(self) -> None:
+        _stand(self.model, self._stands, self.extra)
+        super()._refresh()
+
+    def _arrange(self, rng: np.random.Generator) -> None:
         with chance(rng):
             drawn = self.robosuite.placement_initializer.sample()
-        return [
-            (np.asarray(position, float), np.asarray(turn, float), thing) for position, turn, thing in drawn.values()
-        ]
+        for position, quaternion, thing in drawn.values():
+            if thing.name in self._standing:
+                start = 7 * self._standing.index(thing.name)
+                self.extra[start : start + 7] = [*position, *quaternion]
+            elif thing.name not in self._absent and thing.joints:
+                self.put(thing.joints[0], position, quaternion)
 
 
 def upright(yaw: float) -> tuple[float, float, float, float]:
@@ -162,9 +178,13 @@ def _hang(env: Any, name: str) -> None:
         geom.set("conaffinity", "0")
 
 
+def _stand(model: mujoco.MjModel, bodies: Sequence[str], kept: Array) -> None:
+    """Stand each body where the first numbers that a world keeps say."""
+    for body, where in zip(bodies, kept[: 7 * len(bodies)].reshape(-1, 7), strict=True):
+        if where.any():  # not before the first start
+            model.body(body).pos[:] = where[:3]
+            model.body(body).quat[:] = where[3:]
+
+
 def _words(numbers: Array | Sequence[float]) -> str:
     return " ".join(f"{number:.6g}" for number in numbers)
-
-
-def _nothing(model: mujoco.MjModel, extra: Array) -> None:
-    """Nothing to paint: all that can be seen is in qpos."""

@@ -50,6 +50,10 @@ class Hand:
         yaw = float(np.mod(yaw - 1e-6, np.pi) + 1e-6)
         finger = np.array([np.cos(yaw), np.sin(yaw), 0.0])
         wanted = np.stack([finger, [finger[1], -finger[0], 0.0], [0.0, 0.0, -1.0]], axis=1)
+        return self.pose(target, wanted, grip, speed)
+
+    def pose(self, target: Array, wanted: Array, grip: float, speed: float = 1.0) -> Array:
+        """(7,) the action that moves towards target (3,) m and rotation (3, 3): finger axis, side, where it points."""
         turn = 0.5 * np.cross(self.rotation.T, wanted.T).sum(axis=0)
         if (np.trace(wanted @ self.rotation.T) - 1) / 2 < 0:  # beyond a quarter turn the sine shrinks again
             turn /= max(float(np.linalg.norm(turn)), 1e-6)

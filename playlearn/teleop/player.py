@@ -164,8 +164,9 @@ class _Playing:
         self.until_slip = int(rng.integers(*_UNTIL_SLIP)) if self._happens(config.slip) else None
         self.slipping = 0
         self.plan, self.left = None, _PATIENCE + 1
-        if self._happens(config.planned):
-            self.plan = Plan(skill.plan(hand, achieved, self.style), hand, self.style, config.bow, rng)
+        stops = skill.plan(hand, achieved, self.style) if self._happens(config.planned) else ()
+        if stops:
+            self.plan = Plan(stops, hand, self.style, config.bow, rng)
             self.left += self.plan.steps
         if self._happens(config.give_up):
             self.left = self.pausing + int(rng.integers(*_GIVING_UP))

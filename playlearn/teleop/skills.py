@@ -43,7 +43,7 @@ class Skill(Protocol):
     def done(self, hand: Hand, achieved: Array) -> bool: ...
 
     def plan(self, hand: Hand, achieved: Array, style: Style) -> Sequence[Waypoint]:
-        """The same as a plan made once, for a player who then follows it without looking again."""
+        """The same as a plan made once, for a player who then follows it without looking; () where that cannot be."""
         ...
 
 
@@ -80,7 +80,8 @@ class Thing(Protocol):
 class Carry:
     """Grasp a thing, bring its centre to `position` (3,) m and turn it to `yaw` rad; let go there, or hold it.
 
-    drop: height in metres above `position` at which it is let go.
+    drop: height in metres above `position` at which it is let go. room: metres that the fingers must be open
+    before they go down around it; half closed they would press on its top, and friction would keep them so.
     """
 
     name: str
@@ -89,6 +90,7 @@ class Carry:
     yaw: float
     lasting: bool = True
     drop: float = 0.002
+    room: float = 0.0
 
     def act(self, hand: Hand, achieved: Array, style: Style) -> Array:
         if self.thing.held(hand, achieved):
@@ -137,6 +139,8 @@ class Carry:
         turning = hand.yaw_error(wanted)
         rise = 4.0 * max(0.0, off - 0.008) + 0.15 * max(0.0, turning - 0.12)
         above = min(self.thing.clearance(grip, style.approach), rise)
+        if hand.opening < self.room and hand.position[2] > grip[2] + 0.02:
+            above = max(above, 0.06)
         down = abs(hand.position[2] - grip[2]) < 0.012 and off < 0.014 and turning < 0.22
         at_height = grip + up(above)
         if hand.position[2] < at_height[2] - 0.02:  # rise before moving sideways, or it is knocked over

@@ -13,6 +13,7 @@ from playlearn.teleop.hand import Hand
 from playlearn.teleop.skills import Carry, Push, Reach, Skill
 
 _HIGH = 0.14  # metres above the table where an idle hand rests
+_ROOM = 0.012  # metres that fingers are open beyond a piece before they go down around it
 _WEIGHTS = {"lift": 0.6, "place": 1.6, "unstack": 2.0}  # how often play tries each kind, where it can
 
 
@@ -83,12 +84,16 @@ class PiecesDriver:
         far = np.hypot(*(self._spots[:, None] - taken[None]).transpose(2, 0, 1)).min(axis=1)  # (spots,)
         x, y = self._spots[int(np.argmax(far > 0.10))]
         z = self._pieces.table.z + piece.height / 2
-        return Carry(f"park_{piece.name}", piece, (float(x), float(y), z), piece.yaw(achieved))
+        return Carry(
+            f"park_{piece.name}", piece, (float(x), float(y), z), piece.yaw(achieved), room=piece.width + _ROOM
+        )
 
     def _carry(self, goal: Array, piece: Piece, name: str | None = None) -> Carry:
         x, y, z = map(float, piece.position(goal))
         lasting = self._pieces.rests(goal, piece)
-        return Carry(name or f"carry_{piece.name}", piece, (x, y, z), piece.yaw(goal), lasting)
+        return Carry(
+            name or f"carry_{piece.name}", piece, (x, y, z), piece.yaw(goal), lasting, room=piece.width + _ROOM
+        )
 
     def _held(self, hand: Hand, achieved: Array) -> Piece | None:
         return next((piece for piece in self._pieces.all if piece.held(hand, achieved)), None)

@@ -80,7 +80,7 @@ class Piece:
 
     def held(self, hand: Hand, achieved: Array) -> bool:
         off = hand.position - self.position(achieved)
-        between = self.width - 0.012 < hand.opening < self.width + 0.012
+        between = self.width - 0.012 < hand.opening < self.width + 0.006
         return bool(between and np.hypot(*off[:2]) < 0.03 and abs(off[2]) < 0.03)
 
     def clearance(self, place: Array, height: float) -> float:
