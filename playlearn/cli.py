@@ -75,6 +75,15 @@ def info(arguments: argparse.Namespace) -> int:
             print(f"whole: every checksum of {len(store)} episodes holds")
     for problem in problems:
         print(f"playlearn: {problem}", file=sys.stderr)
+    if arguments.report:
+        from playlearn.collect.world import world
+        from playlearn.config import from_dict
+        from playlearn.report.store_report import write_report
+        from playlearn.sim import EnvironmentConfig
+
+        for path in arguments.report:
+            write_report(store, path, lambda: world(from_dict(EnvironmentConfig, dict(store.spec.environment))))
+            print(f"report  {path}", file=sys.stderr)
     return FAILED if problems else DONE
 
 
@@ -193,6 +202,13 @@ def _parser() -> argparse.ArgumentParser:
     made = verb(info, "info", "say what is in a store, and whether it is whole")
     made.add_argument("store", type=Path, metavar="STORE")
     made.add_argument("--verify", action="store_true", help="read every episode and compare its checksum")
+    made.add_argument(
+        "--report",
+        type=Path,
+        action="append",
+        metavar="FILE",
+        help="write what was played: a page (.html), its numbers (.json), film strips (.png), a card (.md); repeatable",
+    )
     _json(made)
 
     kept_too = "; what was finished is kept, and the same command goes on from there"

@@ -1,14 +1,11 @@
 """An evaluation as one self-contained page: numbers, curves, pictures, films; nothing is fetched."""
 
-import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from typing import Any
 
-import jinja2
-
 from playlearn.report.pictures import Pictures
+from playlearn.report.template import template
 
 WIDTH, HEIGHT = 960, 260  # of the plot, in its own units
 LEFT, RIGHT, TOP, BOTTOM = 44, 12, 12, 36
@@ -34,11 +31,8 @@ def page(
     results: what results.json says. curves: policy -> share of episodes reached by step 0, 1, ...;
     the judged policy first. note: said where there are no pictures.
     """
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
-    environment.filters |= {"percent": _percent, "width": lambda share: f"{100 * share:.2f}%", "data": _data_uri}
-    template = environment.from_string(resources.files("playlearn.report").joinpath("page.html.j2").read_text("utf-8"))
     rows = {results["policy"]["name"]: results, **results["references"]}
-    return template.render(
+    return template("page.html.j2").render(
         results=results,
         rows=rows,
         plot=_plot(curves, fps),
@@ -48,15 +42,6 @@ def page(
         note=note,
         fps=fps,
     )
-
-
-def _percent(share: float) -> str:
-    """As exact as a count out of a few hundred deserves: one decimal, none where it is zero."""
-    return f"{100 * share:.1f}".removesuffix(".0") + " %"
-
-
-def _data_uri(webp: bytes) -> str:
-    return "data:image/webp;base64," + base64.b64encode(webp).decode()
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,68 @@
+"""A store of play as one self-contained page: where things were, what changed, what went wrong, pictures."""
+
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from playlearn.episode import Array
+from playlearn.report.pictures import encode_still
+from playlearn.report.strips import COLOURS, Strip, picture, said
+from playlearn.report.template import template
+
+WIDTH, HEIGHT = 300, 64  # of a histogram, in its own units
+_DARK = np.array([[246, 247, 249], [158, 190, 245], [47, 107, 219], [16, 42, 110]], float)  # never .. most often
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """The pictures of a page. moments: random ones (h, w, 3) uint8. note: said where there are none."""
+
+    strips: Sequence[Strip] = ()
+    moments: Sequence[Array] = ()
+    note: str = ""
+
+
+def store_page(told: Mapping[str, Any], title: str, shown: Shown) -> str:
+    """The page as HTML. told: what `playlearn.report.play.figures` says."""
+    return template("store_page.html.j2").render(
+        told=told,
+        title=title,
+        note=shown.note,
+        maps={name: (heat_map(one["counts"]), one["covers"]) for name, one in told["places"].get("maps", {}).items()},
+        strips=[(strip.caption, encode_still(picture(strip))) for strip in shown.strips],
+        moments=[encode_still(image) for image in shown.moments],
+        legend={said(mark): f"rgb{colour}" for mark, colour in COLOURS.items()},
+        outline=outline,
+        most=max((one["count"] for one in told["skills"].values()), default=1),
+        width=WIDTH,
+        height=HEIGHT,
+    )
+
+
+def heat_map(counts: Sequence[Sequence[int]]) -> bytes:
+    """One pixel a cell as PNG, darker where more often; by the square root, so that rare cells show."""
+    share = np.sqrt(np.asarray(counts, float))
+    share /= max(float(share.max()), 1.0)
+    at = share * (len(_DARK) - 1)
+    below = np.minimum(at.astype(int), len(_DARK) - 2)
+    # What was visited at all stands out from what never was.
+    colour = _DARK[below] + (at - below)[..., None] * (_DARK[below + 1] - _DARK[below])
+    colour[(share > 0) & (share < 0.15)] = _DARK[0] + 0.45 * (_DARK[1] - _DARK[0])
+    buffer = io.BytesIO()
+    Image.fromarray(colour.round().astype(np.uint8)).save(buffer, "PNG")
+    return buffer.getvalue()
+
+
+def outline(counts: Sequence[int], most: int | None = None) -> str:
+    """The points of a histogram's outline in a box of WIDTH x HEIGHT. most: the count that reaches the top."""
+    top, bar = max(most or max(counts), 1), WIDTH / len(counts)
+    points = [(0.0, float(HEIGHT))]
+    for k, count in enumerate(counts):
+        y = HEIGHT * (1 - min(1.0, count / top))
+        points += [(k * bar, y), ((k + 1) * bar, y)]
+    points.append((WIDTH, HEIGHT))
+    return " ".join(f"{x:.1f},{y:.1f}" for x, y in points)

@@ -1,0 +1,35 @@
+"""The templates of the pages, and how numbers and pictures are written into them."""
+
+import base64
+import functools
+from importlib import resources
+
+import jinja2
+
+
+def template(name: str) -> jinja2.Template:
+    """A template of this folder; what is put into HTML is escaped."""
+    return _environment().get_template(name)
+
+
+@functools.cache
+def _environment() -> jinja2.Environment:
+    files = resources.files("playlearn.report")
+    environment = jinja2.Environment(
+        autoescape=jinja2.select_autoescape(("html.j2",)),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        loader=jinja2.FunctionLoader(lambda name: files.joinpath(name).read_text("utf-8")),
+    )
+    environment.filters |= {"percent": _percent, "width": lambda share: f"{100 * share:.2f}%", "data": _data_uri}
+    return environment
+
+
+def _percent(share: float) -> str:
+    """As exact as a count out of a few hundred deserves: one decimal, none where it is zero."""
+    return f"{100 * share:.1f}".removesuffix(".0") + " %"
+
+
+def _data_uri(picture: bytes) -> str:
+    kind = "png" if picture.startswith(b"\x89PNG") else "webp"
+    return f"data:image/{kind};base64," + base64.b64encode(picture).decode()
