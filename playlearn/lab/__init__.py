@@ -3,5 +3,7 @@
 from playlearn.lab.base import Experiment, load_experiment, run
 from playlearn.lab.fork import ForkConfig
 from playlearn.lab.modes import ModesConfig
+from playlearn.lab.occlusion import OcclusionConfig
+from playlearn.lab.tightrope import TightropeConfig
 
-__all__ = ["Experiment", "ForkConfig", "ModesConfig", "load_experiment", "run"]
+__all__ = ["Experiment", "ForkConfig", "ModesConfig", "OcclusionConfig", "TightropeConfig", "load_experiment", "run"]
