@@ -27,11 +27,13 @@ def test_one_who_follows_the_cue_from_beside_the_rope_stays_beside_it() -> None:
 
 
 def test_cloning_compounds_and_dagger_does_not(tmp_path: Path) -> None:
-    """Exponents of a small run: between theory's 2 and 1 there is room for 0.35 of chance and of saturation."""
-    config = TightropeConfig(labelled=1000, updates=300, lengths=(10, 40, 160), walks=500, seeds=1, rounds=2)
+    """Exponents of a small run: nearer to theory's 2 for the one, to its 1 for the others."""
+    config = TightropeConfig(lengths=(10, 20, 40, 80), walks=1000, seeds=1)
     rows = config.measure(lambda _: None)
-    assert {row["method"]: row["theory"] for row in rows}["DAgger"] == 1
-    assert all(abs(row["exponent"] - row["theory"]) < 0.35 for row in rows), rows
+    exponents = {row["method"]: row["exponent"] for row in rows}
+    assert exponents.pop("cloning") > 1.6
+    assert len(exponents) == 3
+    assert max(exponents.values()) < 1.4
     config.plot(rows, tmp_path / "plot.png")
     assert (tmp_path / "plot.png").exists()
 
