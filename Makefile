@@ -1,6 +1,6 @@
 # Everything starts from `make demo` or `make test`; each sets up what is missing first.
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test coverage check format lock clean
+.PHONY: help setup demo sample strips test coverage check format lock clean
 SHELL := /bin/sh
 
 DEMO ?= runs/demo
@@ -18,6 +18,20 @@ setup: ## the environment from the lock file, and headless GL where that may be 
 demo: ## collect play, train on it, reach goal images; leaves DEMO=runs/demo/eval/report.html
 	@sh .ci/setup.sh --need-gl
 	@sh .ci/demo.sh $(DEMO)
+
+sample: ## make datasets/sample and its card anew
+	@sh .ci/setup.sh --need-gl
+	rm -rf datasets/sample
+	.venv/bin/playlearn collect --config configs/collect/sample.yaml --out datasets/sample
+	.venv/bin/playlearn info datasets/sample --verify --report datasets/sample/README.md
+
+strips: ## film strips of clean, human and noisy play, into eval/results/play
+	@sh .ci/setup.sh --need-gl
+	for who in clean human noisy; do \
+	    rm -rf runs/play/$$who && \
+	    .venv/bin/playlearn collect --config configs/collect/$$who.yaml --out runs/play/$$who --episodes 10 && \
+	    .venv/bin/playlearn info runs/play/$$who --report eval/results/play/$$who.png --report runs/play/$$who.html || exit 1; \
+	done
 
 test: setup ## the tests
 	@$(ONE_THREAD) $(PY) -m pytest $(PYTEST)
