@@ -46,7 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def collect(arguments: argparse.Namespace) -> int:
-    from playlearn.collect import CollectConfig, collect_one
+    from playlearn.collect import CollectConfig, collect_by_hand, collect_one
     from playlearn.collect import collect as run
     from playlearn.config import load_config
 
@@ -54,6 +54,8 @@ def collect(arguments: argparse.Namespace) -> int:
     config = load_config(CollectConfig, arguments.config, overrides)
     if arguments.episode is not None:
         collect_one(config, arguments.out, arguments.episode)
+    elif arguments.device is not None:
+        collect_by_hand(config, arguments.out, arguments.device, arguments.sensitivity, resume=arguments.resume)
     else:
         run(config, arguments.out, workers=arguments.workers, resume=arguments.resume)
     return DONE
@@ -191,13 +193,21 @@ def _parser() -> argparse.ArgumentParser:
     _workers(made)
     made.add_argument("--seed", type=int, metavar="S", help="the same seed gives the same play")
     made.add_argument("--resume", action="store_true", help="go on with a store that is there, skip what is done")
-    made.add_argument(
+    single = made.add_mutually_exclusive_group()
+    single.add_argument(
         "--episode",
         type=_number,
         metavar="N",
         help="play episode N alone, in this process, with a traceback if it fails. A new --out becomes a store that "
         "holds it alone; a store there that lacks it gets it; one that has it is left as it is, and compared",
     )
+    single.add_argument(
+        "--device",
+        choices=("keyboard", "spacemouse"),
+        help="play yourself, in real time and in this process. Enter or the device's reset keeps an episode, "
+        "Backspace throws it away, Esc leaves",
+    )
+    made.add_argument("--sensitivity", type=float, default=1.0, metavar="X", help="of the device (default %(default)s)")
 
     made = verb(info, "info", "say what is in a store, and whether it is whole")
     made.add_argument("store", type=Path, metavar="STORE")
