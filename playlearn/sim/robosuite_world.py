@@ -127,6 +127,10 @@ class RobosuiteWorld:
     def _after_step(self) -> None:
         """What physics does not do by itself: toggle a lamp."""
 
+    def _shown(self) -> Array:
+        """What `paint` is given: which lamps are lit."""
+        return self.extra
+
     # The Environment ------------------------------------------------------------------------------
 
     def clone(self) -> Self:
@@ -207,7 +211,7 @@ class RobosuiteWorld:
 
     def render(self, camera: str, height: int | None = None, width: int | None = None) -> Array:
         size = self._cameras.get(camera, CameraConfig())
-        return self._draw(self.data.qpos, self.extra, camera, height or size.height, width or size.width)
+        return self._draw(self.data.qpos, self._shown(), camera, height or size.height, width or size.width)
 
     def renderer(self) -> str:
         return self._draw.backend()

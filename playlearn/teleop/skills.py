@@ -81,7 +81,8 @@ class Carry:
     """Grasp a thing, bring its centre to `position` (3,) m and turn it to `yaw` rad; let go there, or hold it.
 
     drop: height in metres above `position` at which it is let go. room: metres that the fingers must be open
-    before they go down around it; half closed they would press on its top, and friction would keep them so.
+    before they go down around it; half closed they would press on its top, and friction would keep them so. slack:
+    metres beside the grip within which they still go down around it.
     """
 
     name: str
@@ -91,6 +92,7 @@ class Carry:
     lasting: bool = True
     drop: float = 0.002
     room: float = 0.0
+    slack: float = 0.008
 
     def act(self, hand: Hand, achieved: Array, style: Style) -> Array:
         if self.thing.held(hand, achieved):
@@ -137,14 +139,14 @@ class Carry:
         grip, wanted = self.thing.grasp(hand, achieved)
         off = np.hypot(*(hand.position - grip)[:2])
         turning = hand.yaw_error(wanted)
-        rise = 4.0 * max(0.0, off - 0.008) + 0.15 * max(0.0, turning - 0.12)
+        rise = 0.032 * max(0.0, off / self.slack - 1) + 0.15 * max(0.0, turning - 0.12)
         above = min(self.thing.clearance(grip, style.approach), rise)
         if hand.opening < self.room and hand.position[2] > grip[2] + 0.02:
             above = max(above, 0.06)
         down = abs(hand.position[2] - grip[2]) < 0.012 and off < 0.014 and turning < 0.22
         at_height = grip + up(above)
         if hand.position[2] < at_height[2] - 0.02:  # rise before moving sideways, or it is knocked over
-            at_height[:2] = hand.position[:2] + 0.3 * (at_height - hand.position)[:2]
+            at_height[:2] = _sidling(hand.position, at_height)
         return hand.move(at_height, wanted, CLOSE if down else OPEN, style.speed)
 
     def _bring(self, hand: Hand, achieved: Array, style: Style) -> Array:
@@ -159,7 +161,7 @@ class Carry:
             return hand.move(hand.position, yaw, OPEN, style.speed)
         wanted = hand.position + goal + up(above) - here
         if wanted[2] > hand.position[2] + 0.02:
-            wanted[:2] = hand.position[:2] + 0.15 * (wanted - hand.position)[:2]
+            wanted[:2] = _sidling(hand.position, wanted)
         return hand.move(wanted, yaw, CLOSE, style.speed)
 
     def _leave(self, hand: Hand, style: Style) -> Array:
@@ -228,6 +230,59 @@ class Reach:
 
     def plan(self, hand: Hand, achieved: Array, style: Style) -> Sequence[Waypoint]:
         return (Waypoint(self.position, REST_YAW, OPEN),)
+
+
+def _sidling(here: Array, there: Array) -> Array:
+    """(2,) where to aim at in the plane while rising: little aside, but enough to hold against an arm that drifts."""
+    way = (there - here)[:2]
+    aim: Array = here[:2] + way * min(1.0, 0.02 / max(float(np.hypot(*way)), 1e-9))
+    return aim
+
+
+@dataclass(frozen=True)
+class Leaning:
+    """A skill done with a hand that leans outwards, further the further it is from the shoulder.
+
+    An arm whose hand points straight down is stretched at `near` m or a little more from `shoulder` (2,) m, and a
+    stretched arm is stuck: its elbow does not know which way to bend.
+    """
+
+    skill: Skill
+    shoulder: tuple[float, float]
+    near: float
+    most: float = 0.45
+    hand: float = 0.2
+
+    @property
+    def name(self) -> str:
+        return self.skill.name
+
+    @property
+    def lasting(self) -> bool:
+        return self.skill.lasting
+
+    def act(self, hand: Hand, achieved: Array, style: Style) -> Array:
+        out = hand.position[:2] - self.shoulder
+        away = float(np.linalg.norm(out))
+        lean = min(self.most, max(0.0, (away - self.near) / self.hand))  # rad
+        x, y = out / max(away, 1e-6)
+        c, s = np.cos(lean), np.sin(lean)
+        tilt = np.array(
+            [
+                [c + y * y * (1 - c), -x * y * (1 - c), -x * s],
+                [-x * y * (1 - c), c + x * x * (1 - c), -y * s],
+                [x * s, y * s, c],
+            ]
+        )  # about (y, -x, 0)
+        action = self.skill.act(Hand(hand.position, tilt.T @ hand.rotation, hand.opening), achieved, style)
+        action[3:6] = (tilt @ action[3:6]).clip(-1, 1)
+        return action
+
+    def done(self, hand: Hand, achieved: Array) -> bool:
+        return self.skill.done(hand, achieved)
+
+    def plan(self, hand: Hand, achieved: Array, style: Style) -> Sequence[Waypoint]:
+        return self.skill.plan(hand, achieved, style)
 
 
 def waypoint(position: Array, yaw: float, grip: float, wait: int = 0) -> Waypoint:

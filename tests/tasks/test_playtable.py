@@ -7,7 +7,21 @@ from playlearn.errors import ActionError, SimulationDiverged, UsageError
 from playlearn.sim import CameraConfig
 from playlearn.tasks import PlayTableConfig
 from playlearn.tasks.playtable import scene
-from playlearn.tasks.playtable.named import BLOCK_NAMES, DRAWER, LAMP, block, in_tray, on_table, supporter
+from playlearn.tasks.playtable.layout import (
+    ACHIEVED_NAMES,
+    BLOCK_NAMES,
+    BULB,
+    DRAWER,
+    LED,
+    LEVER,
+    SLIDER,
+    block,
+    direction,
+    in_bay,
+    in_tray,
+    on_table,
+    supporter,
+)
 from playlearn.tasks.playtable.world import PlayTableWorld
 
 
@@ -61,12 +75,29 @@ def test_starts_are_at_rest_and_free_of_collisions(world: PlayTableWorld) -> Non
         start = world.achieved()
         assert world.failure() is None
         for i in range(len(BLOCK_NAMES)):
-            lies = on_table(start, i) or in_tray(start, i) or supporter(start, i) is not None
+            lies = on_table(start, i) or in_tray(start, i) or in_bay(start, i) or supporter(start, i) is not None
             assert lies, f"seed {seed}: {BLOCK_NAMES[i]} at {block(start, i)}"
         for _ in range(10):
             world.step(np.array([0, 0, 0, 0, 0, 0, -1.0]))
         # Blocks that overlapped would have been thrown apart by more than the 2 mm of settling.
-        np.testing.assert_allclose(world.achieved()[:16], start[:16], atol=0.002)
+        np.testing.assert_allclose(world.achieved(), start, atol=0.002)
+
+
+def test_starts_show_all_that_the_table_has(world: PlayTableWorld) -> None:
+    """Of 120 starts, each share that the config names comes true within four standard errors."""
+    starts = []
+    for seed in range(120):
+        world.reset(seed)
+        starts.append(world.achieved())
+    for of, share in {
+        in_tray: world.config.stowed,
+        in_bay: world.config.shelved,
+        lambda a, i: supporter(a, i) is not None: world.config.stacked * (1 - 0.2 * 0.25),  # no block is left for it
+    }.items():
+        seen = np.mean([any(of(start, i) for i in range(3)) for start in starts])
+        assert abs(seen - share) < 4 * np.sqrt(share * (1 - share) / 120)
+    for index in (DRAWER, SLIDER, LEVER, LED, BULB):
+        assert np.ptp([start[index] for start in starts]) > 0.15, ACHIEVED_NAMES[index]
 
 
 @pytest.mark.parametrize(
@@ -106,35 +137,103 @@ def test_a_block_that_falls_off_ends_the_episode(world: PlayTableWorld) -> None:
     assert world.failure() == "the red block fell off the table"
 
 
-def test_fixtures_have_limits_and_springs(world: PlayTableWorld) -> None:
+@pytest.mark.parametrize(
+    ("name", "index", "travel"),
+    [("drawer_slide", DRAWER, scene.DRAWER_TRAVEL), ("slider_slide", SLIDER, scene.SLIDER_TRAVEL)],
+)
+def test_what_slides_has_stops_and_friction(world: PlayTableWorld, name: str, index: int, travel: float) -> None:
+    joint = world.model.joint(name)
+    for pull, end in ((3.0, travel), (-3.0, 0.0)):
+        world.reset(1)
+        world.data.qpos[joint.qposadr[0]] = travel / 2
+        world.data.qvel[joint.dofadr[0]] = pull  # a hard one
+        for _ in range(30):
+            world.step(np.zeros(7))
+        assert abs(world.achieved()[index] - travel / 2) > 0.02  # it went the way it was pulled,
+        assert np.sign(world.achieved()[index] - travel / 2) == np.sign(pull)
+        assert (world.achieved()[index] - end) * np.sign(pull) <= 0.002  # its stop holds,
+        assert abs(world.data.qvel[joint.dofadr[0]]) < 1e-2  # and friction brings it to rest
+
+
+def test_the_slider_runs_over_a_lying_block_and_the_drawer_takes_one_along(world: PlayTableWorld) -> None:
     world.reset(1)
-    world.slide_drawer(0.05)
+    for i in range(3):
+        world.lay(i, (0.1, -0.15 + 0.1 * i), 0.0)
+    world.slide_drawer(scene.DRAWER_TRAVEL)
+    world.slide_slider(0.0)
+    world.stow(0, np.random.default_rng(0))
+    world.lay(1, scene.BAY_CENTRE, np.pi / 2)
     world.refresh()
-    drawer, button = world.model.joint("drawer_slide").dofadr[0], world.model.joint("button_press").qposadr[0]
-    world.data.qvel[drawer] = 3.0  # a hard pull
-    for _ in range(30):
+    before = world.achieved()
+    slider, drawer = (world.model.joint(name).dofadr[0] for name in ("slider_slide", "drawer_slide"))
+    for _ in range(20):  # a second under 4 N against 1.5 N of friction and 8 N s/m: some 0.3 m
+        world.data.qfrc_applied[[slider, drawer]] = 4.0, -4.0
         world.step(np.zeros(7))
-    assert world.achieved()[DRAWER] <= scene.DRAWER_TRAVEL + 0.002  # its stop holds
-    assert abs(world.data.qvel[drawer]) < 1e-2  # friction brings it to rest
+    world.data.qfrc_applied[:] = 0.0
+    after = world.achieved()
+    assert after[SLIDER] > 0.15
+    assert after[DRAWER] < 0.02
+    np.testing.assert_allclose(block(after, 1), block(before, 1), atol=1e-3)
+    moved = after[DRAWER] - before[DRAWER]
+    np.testing.assert_allclose(block(after, 0)[:3], block(before, 0)[:3] + np.array([0, moved, 0]), atol=0.01)
+
+
+def test_the_lever_falls_to_either_side_and_stays_there_and_the_bulb_tells(world: PlayTableWorld) -> None:
+    world.reset(2)
+    lever = world.model.joint("lever_hinge").qposadr[0]
+    for angle in (-0.1, 0.1):
+        world.data.qpos[lever] = angle
+        for _ in range(20):
+            world.step(np.zeros(7))
+        # The stop gives way by less than a hundredth of a radian under the weight of the knob.
+        assert abs(world.achieved()[LEVER] - np.sign(angle) * scene.LEVER_RANGE) < 0.01
+        assert world.achieved()[BULB] == float(angle > 0)
+
+
+def test_the_button_springs_back(world: PlayTableWorld) -> None:
+    world.reset(1)
+    button = world.model.joint("button_press").qposadr[0]
     world.data.qpos[button] = scene.BUTTON_TRAVEL
-    lamp = world.achieved()[LAMP]
-    world.step(np.zeros(7))
     for _ in range(20):
         world.step(np.zeros(7))
-    assert world.data.qpos[button] < 0.001  # the spring brings it back
-    assert lamp in (0.0, 1.0)
+    assert world.data.qpos[button] < 0.001
 
 
 def test_the_button_toggles_once_a_press(world: PlayTableWorld) -> None:
     world.reset(2)
     button = world.model.joint("button_press").qposadr[0]
-    lamp = world.achieved()[LAMP]
+    led = world.achieved()[LED]
     seen = []
     for depth in (0.0, 0.012, 0.012, 0.012, 0.0, 0.012):
         world.data.qpos[button] = depth
         world._after_step()
-        seen.append(float(world.achieved()[LAMP]))
-    assert seen == [lamp, 1 - lamp, 1 - lamp, 1 - lamp, 1 - lamp, lamp]
+        seen.append(float(world.achieved()[LED]))
+    assert seen == [led, 1 - led, 1 - led, 1 - led, 1 - led, led]
+
+
+@pytest.mark.parametrize("lamp", ["lamp", "lever"])
+def test_each_lamp_is_seen_to_be_lit(world: PlayTableWorld, lamp: str) -> None:
+    world.reset(0)
+    pictures = []
+    for lit in (False, True):
+        world.switch(**{lamp: lit})
+        pictures.append(world.render("front").astype(int))
+    changed = np.abs(pictures[1] - pictures[0]).max(axis=2) > 60
+    assert 8 < changed.sum() < 0.05 * changed.size  # a lamp of some pixels (and the lever), and nothing else
+
+
+def test_fixtures_never_touch_each_other(world: PlayTableWorld) -> None:
+    model = world.model
+    fixtures = [
+        g for g in range(model.ngeom) if model.geom_contype[g] and not model.geom_conaffinity[g]
+    ]  # what asks for nobody's touch is touched by those who ask: the robot and the blocks
+    names = {model.geom(g).name for g in fixtures}
+    assert {"deck_top", "tray_front", "tray_post", "slider_roof", "slider_post", "lever_knob", "button_cap"} <= names
+    world.reset(3)
+    world.slide_drawer(0.0)
+    world.refresh()
+    touching = [{int(c.geom1), int(c.geom2)} for c in world.data.contact[: world.data.ncon]]
+    assert not any(pair <= set(fixtures) for pair in touching)
 
 
 def test_orientation_is_the_same_for_a_block_turned_half_round(world: PlayTableWorld) -> None:
@@ -153,26 +252,75 @@ def test_reached_is_true_of_itself_and_false_of_each_change(world: PlayTableWorl
     world.reset(5)
     goal = world.achieved()
     assert world.reached(goal, goal)
-    for index, shift in {0: 0.05, 2: 0.03, DRAWER: 0.04, LAMP: 1.0}.items():
+    flipped = {index: 1 - 2 * goal[index] for index in (LED, BULB)}
+    for index, shift in {0: 0.05, 2: 0.03, DRAWER: 0.04, SLIDER: 0.04, LEVER: 0.4, **flipped}.items():
         other = goal.copy()
-        other[index] += shift if index != LAMP else 1 - 2 * goal[LAMP]
+        other[index] += shift
         assert not world.reached(other, goal), world.spec.achieved_names[index]
+
+
+def test_the_named_tasks_are_calvins(world: PlayTableWorld) -> None:
+    """34 of them: 3 blocks turned and pushed to 2 sides each and lifted from 3 places, 13 others."""
+    blocks = {
+        f"{verb}_{name}_{where}"
+        for name in BLOCK_NAMES
+        for verb, places in (("rotate", "right left"), ("push", "right left"), ("lift", "table slider drawer"))
+        for where in places.split()
+    }
+    others = """move_slider_left move_slider_right open_drawer close_drawer place_in_slider place_in_drawer
+        push_into_drawer stack_block unstack_block turn_on_lightbulb turn_off_lightbulb turn_on_led turn_off_led"""
+    assert set(world.tasks) == blocks | set(others.split())
+    assert len(world.tasks) == 34
+
+
+def begin(world: PlayTableWorld, name: str, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """A start of the task, and the goal that it commands there."""
+    task = world.tasks[name]
+    for draw in range(20):
+        rng = np.random.default_rng([seed, draw])
+        world.reset(int(rng.integers(2**31)))
+        task.arrange(world, rng)
+        start = world.achieved()
+        if world.failure() is None and task.precondition(start):
+            return start, task.command(start, rng)
+    pytest.fail(f"{name}: no start in 20 draws")
 
 
 def test_every_task_can_be_set_up_and_is_not_won_at_the_start(world: PlayTableWorld) -> None:
     for name, task in world.tasks.items():
-        for draw in range(100):
-            rng = np.random.default_rng([draw, 1])
-            world.reset(draw)
-            task.arrange(world, rng)
-            start = world.achieved()
-            goal = task.command(start, rng)
-            if task.precondition(start) and not np.array_equal(goal, start):
-                break
-        else:
-            pytest.fail(f"{name}: no start in 100 draws")
+        start, goal = begin(world, name, 1)
         assert not task.judge(start, start, goal), name
         assert task.judge(start, goal, goal), name
+
+
+def test_right_and_left_are_the_robots_own(world: PlayTableWorld) -> None:
+    """y > 0 is the robot's left; a left turn is counter-clockwise from above."""
+    for name in BLOCK_NAMES:
+        for side, sign in (("left", 1), ("right", -1)):
+            index = BLOCK_NAMES.index(name)
+            start, goal = begin(world, f"push_{name}_{side}", 2)
+            assert sign * (block(goal, index)[1] - block(start, index)[1]) > 0.04
+            start, goal = begin(world, f"rotate_{name}_{side}", 2)
+            turned = direction(block(goal, index)) - direction(block(start, index))
+            assert 0.6 < sign * turned < 1.3
+            mirrored = goal.copy()  # the same turn the other way is no success
+            yaw = direction(block(start, index)) - turned
+            block(mirrored, index)[3:] = np.cos(2 * yaw), np.sin(2 * yaw)
+            assert not world.tasks[f"rotate_{name}_{side}"].judge(start, mirrored, goal)
+    for side, sign in (("left", 1), ("right", -1)):
+        start, goal = begin(world, f"move_slider_{side}", 2)
+        assert sign * (goal[SLIDER] - start[SLIDER]) > 0.08
+
+
+def test_a_judge_asks_for_the_block_that_the_goal_shows(world: PlayTableWorld) -> None:
+    """Where a task does not name its block, the goal does: the same done with another block is no success."""
+    for name in ("place_in_drawer", "push_into_drawer", "place_in_slider", "stack_block", "unstack_block"):
+        start, goal = begin(world, name, 3)
+        moved = next(i for i in range(3) if not np.allclose(block(start, i), block(goal, i)))
+        for other in set(range(3)) - {moved}:
+            swapped = start.copy()
+            block(swapped, other)[:] = block(goal, moved)
+            assert not world.tasks[name].judge(start, swapped, goal), name
 
 
 def test_other_robots_play_at_the_same_table() -> None:

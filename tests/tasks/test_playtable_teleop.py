@@ -1,5 +1,7 @@
 """Whoever drives: the expert reaches what is asked, play is what it says of itself."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -23,42 +25,65 @@ def play(world: PlayTableWorld, seed: int, steps: int, config: PlayConfig) -> Ep
     return episode
 
 
+def begin(world: PlayTableWorld, name: str, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """A start of the task, and the goal that it commands there."""
+    task = world.tasks[name]
+    for draw in range(20):
+        rng = np.random.default_rng([seed, draw])
+        world.reset(int(rng.integers(2**31)))
+        task.arrange(world, rng)
+        start = world.achieved()
+        if world.failure() is None and task.precondition(start):
+            return start, task.command(start, rng)
+    pytest.fail(f"{name}: no start in 20 draws")
+
+
+def drive(world: PlayTableWorld, goal: np.ndarray, steps: int, content: Callable[[np.ndarray], bool]) -> bool:
+    """Whether the expert brings the world to where `content` holds for a quarter of a second."""
+    expert = expert_for(world)
+    expert.reset([Goal(goal)], [0])
+    held = 0
+    for _ in range(steps):
+        world.step(expert.act([world.observe()], [True])[0].action)
+        held = held + 1 if content(world.achieved()) else 0
+        if held == 5:
+            return True
+    return False
+
+
 @pytest.mark.parametrize(
     "name",
     [
-        "lift_red",
-        "push_blue",
-        "rotate_pink",
-        "place_red",
-        "stow_blue",
-        "stack_pink",
-        "unstack_red",
+        "rotate_pink_right",
+        "rotate_red_left",
+        "push_blue_right",
+        "push_red_left",
+        "move_slider_left",
+        "move_slider_right",
         "open_drawer",
         "close_drawer",
-        "lamp_on",
-        "lamp_off",
+        "lift_red_table",
+        "lift_blue_slider",
+        "lift_pink_drawer",
+        "place_in_slider",
+        "place_in_drawer",
+        "push_into_drawer",
+        "stack_block",
+        "unstack_block",
+        "turn_on_lightbulb",
+        "turn_off_lightbulb",
+        "turn_on_led",
+        "turn_off_led",
     ],
 )
-def test_the_expert_reaches_every_kind_of_goal(world: PlayTableWorld, name: str) -> None:
-    """Of three starts each at least two; whole suites say how often over hundreds."""
-    task, expert = world.tasks[name], expert_for(world)
-    reached = 0
-    for start_seed in range(3):
-        for draw in range(100):
-            rng = np.random.default_rng([start_seed, draw])
-            world.reset(1000 * start_seed + draw)
-            task.arrange(world, rng)
-            start = world.achieved()
-            goal = task.command(start, rng)
-            if task.precondition(start) and not np.array_equal(goal, start):
-                break
-        expert.reset([Goal(goal)], [0])
-        for _ in range(200):
-            world.step(expert.act([world.observe()], [True])[0].action)
-            if task.judge(start, world.achieved(), goal):
-                reached += 1
-                break
-    assert reached >= 2
+def test_the_expert_does_every_kind_of_task(world: PlayTableWorld, name: str) -> None:
+    """Of two starts each at least one; whole suites say how often over hundreds."""
+    task = world.tasks[name]
+    done = []
+    for seed in range(2):
+        start, goal = begin(world, name, seed)
+        done.append(drive(world, goal, 200, lambda now, s=start, g=goal: task.judge(s, now, g)))
+    assert any(done)
 
 
 def test_the_expert_rests_where_nothing_is_to_be_done(world: PlayTableWorld) -> None:

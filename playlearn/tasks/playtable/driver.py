@@ -1,156 +1,168 @@
-"""Who drives PlayTable: what play tries there, and which skill comes next on the way to a goal."""
+"""Who drives PlayTable: what play tries there, and what to put where."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from playlearn.episode import Array
 from playlearn.sim.environment import Task
 from playlearn.tasks.playtable import scene
-from playlearn.tasks.playtable.named import (
+from playlearn.tasks.playtable.layout import (
     BLOCK_NAMES,
+    BULB,
     DRAWER,
-    LAMP,
+    LED,
+    LYING_Z,
+    SLIDER,
+    bases,
     block,
     clear,
-    direction,
+    covered,
+    in_bay,
     in_tray,
-    playtable_tasks,
+    lies_free,
+    upright,
 )
-from playlearn.tasks.playtable.skills import HIGH, Block, Press, Push, Slide
+from playlearn.tasks.playtable.named import (
+    can_shelve,
+    can_stow,
+    placed,
+    playtable_tasks,
+    shelved,
+    stacked,
+    stowed,
+)
+from playlearn.tasks.playtable.order import carry, in_hand, next_skill
+from playlearn.tasks.playtable.skills import POSTS, Block, Flip, Press, PushIn, Slide, Tip
 from playlearn.teleop.driver import Idea
 from playlearn.teleop.hand import Hand
-from playlearn.teleop.skills import Carry, Reach, Skill
+from playlearn.teleop.skills import Push, Skill
 
-OPEN_ENOUGH = 0.11  # metres of drawer opening at which a block can be laid in or taken out
-_HOLLOW = 0.01  # metres above its place at which a block is let go in the tray
 # How often play tries each kind, where it can: more of what is seldom possible.
 _WEIGHTS = {
-    "lift": 0.6,
-    "push": 1.0,
-    "rotate": 0.8,
-    "place": 1.6,
+    "lift": 0.5,
+    "push": 0.6,
+    "rotate": 0.6,
+    "place": 1.2,
     "stow": 1.2,
+    "shelve": 1.0,
+    "push_into_drawer": 4.0,
     "stack": 1.0,
     "unstack": 2.0,
     "unstow": 2.0,
+    "unshelve": 1.5,
+    "tip": 4.0,
     "open_drawer": 2.0,
     "close_drawer": 1.2,
-    "lamp": 1.6,
+    "slider": 1.0,
+    "lamp": 1.2,
+    "lever": 1.2,
 }
+_ALL = range(len(BLOCK_NAMES))
+Moved = Callable[[Array, int, np.random.Generator], Array]
 
 
 class PlayTableDriver:
     """A `Driver`; see there."""
 
-    aimless = ((-0.15, -0.2, scene.TABLE_Z + 0.12), (0.15, 0.2, scene.TABLE_Z + 0.25))
+    aimless = ((-0.15, -0.2, scene.TABLE_Z + 0.14), (0.13, 0.2, scene.TABLE_Z + 0.25))
 
     def __init__(self) -> None:
         self._tasks = playtable_tasks()
 
     def ideas(self) -> Sequence[Idea]:
-        """The named tasks, and taking a block out of the drawer."""
-        named = [self._idea(task) for task in self._tasks.values()]
-        return [*named, *(self._unstow(index) for index in range(len(BLOCK_NAMES)))]
+        """The named tasks, and what nobody names: laying a block elsewhere, out of drawer and bay, on its side."""
+        named = [_idea(task) for task in self._tasks.values()]
+        own = [idea for index in _ALL for idea in _of_block(index)]
+        return [*named, *own, _fixture("drawer", "open_drawer", DRAWER, scene.DRAWER_TRAVEL)]
 
     def holding(self, hand: Hand, achieved: Array) -> bool:
-        return _in_hand(hand, achieved) is not None
+        return in_hand(hand, achieved) is not None
 
     def put_down(self, hand: Hand, achieved: Array, rng: np.random.Generator) -> Skill:
-        index = _in_hand(hand, achieved)
+        index = in_hand(hand, achieved)
         if index is None:
             return self.towards(hand, achieved, achieved)
-        kinds = ["place"]
-        if achieved[DRAWER] > 0.12:
-            kinds.append("stow")
-        if any(clear(achieved, i) and block(achieved, i)[2] < scene.TABLE_Z + 0.03 for i in range(3) if i != index):
-            kinds.append("stack")
-        name = f"{kinds[int(rng.integers(len(kinds)))]}_{BLOCK_NAMES[index]}"
-        return _carry(self._tasks[name].command(achieved, rng), index, name)
+        free = achieved.copy()
+        block(free, index)[:3] = (scene.TRAY_X, -0.03, LYING_Z)  # as if it lay on the deck
+        ways: list[tuple[str, Moved]] = [("place", placed)]
+        ways += [("stow", stowed)] if can_stow(free, index) else []
+        ways += [("shelve", shelved)] if can_shelve(free, index) else []
+        ways += [("stack", stacked)] if bases(free, index) else []
+        kind, moved = ways[int(rng.integers(len(ways)))]
+        return carry(hand, achieved, index, block(moved(free, index, rng), index), f"{kind}_{BLOCK_NAMES[index]}")
 
     def towards(self, hand: Hand, achieved: Array, goal: Array) -> Skill:
-        """The order is part of the skill.
-
-        What is in hand comes first; then the drawer, where a block must get in or out; the lower block of a
-        stack before the upper one; the drawer's own goal after what lies in it.
-        """
-        wrong = [i for i in range(len(BLOCK_NAMES)) if not _block_there(achieved, goal, i)]
-        held = _in_hand(hand, achieved)
-        if held in wrong:
-            return _carry(goal, held)
-        through_drawer = [i for i in wrong if in_tray(goal, i) != in_tray(achieved, i) or in_tray(achieved, i)]
-        moved_along = [i for i in through_drawer if in_tray(goal, i) and in_tray(achieved, i)]
-        if moved_along and abs(goal[DRAWER] - achieved[DRAWER]) > 0.02:
-            return Slide("drawer", float(goal[DRAWER]))
-        if through_drawer and achieved[DRAWER] < OPEN_ENOUGH:
-            return Slide("drawer", scene.DRAWER_TRAVEL - 0.01)
-        for i in sorted(wrong, key=lambda i: (not clear(achieved, i), goal[5 * i + 2])):
-            return _carry(goal, i)
-        if abs(goal[DRAWER] - achieved[DRAWER]) > 0.02:
-            return Slide("drawer", float(goal[DRAWER]))
-        if (goal[LAMP] > 0.5) != (achieved[LAMP] > 0.5):
-            return Press("press", bool(goal[LAMP] > 0.5))
-        if held is not None:
-            return _carry(goal, held)
-        return Reach("rest", (float(hand.position[0]), float(hand.position[1]), HIGH))
-
-    def _idea(self, task: Task) -> Idea:
-        def skill(hand: Hand, achieved: Array, rng: np.random.Generator) -> Skill | None:
-            return _skill_for(task.name, task.command(achieved, rng), achieved)
-
-        return Idea(task.name, task.kind, task.precondition, skill, _WEIGHTS.get(task.kind, 1.0))
-
-    def _unstow(self, index: int) -> Idea:
-        def possible(achieved: Array) -> bool:
-            return bool(in_tray(achieved, index) and achieved[DRAWER] > 0.12 and clear(achieved, index))
-
-        def skill(hand: Hand, achieved: Array, rng: np.random.Generator) -> Skill:
-            goal = self._tasks[f"place_{BLOCK_NAMES[index]}"].command(achieved, rng)
-            return _carry(goal, index, f"place_{BLOCK_NAMES[index]}")
-
-        return Idea(f"unstow_{BLOCK_NAMES[index]}", "unstow", possible, skill, _WEIGHTS["unstow"])
+        return next_skill(hand, achieved, goal)
 
 
-def _skill_for(name: str, goal: Array, achieved: Array) -> Skill | None:
-    """The skill by which play brings about the goal of the named task; None where there was no room for it."""
-    if name.endswith("drawer"):
-        return Slide(name, float(goal[DRAWER]))
-    if name.startswith("lamp"):
-        return Press(name, bool(goal[LAMP] > 0.5))
-    index = BLOCK_NAMES.index(name.partition("_")[2])
-    pose = block(goal, index)
-    if np.allclose(pose, block(achieved, index), atol=1e-4):
+def _idea(task: Task) -> Idea:
+    def skill(hand: Hand, achieved: Array, rng: np.random.Generator) -> Skill | None:
+        return _skill_for(task, task.command(achieved, rng), hand, achieved)
+
+    return Idea(task.name, task.kind, task.precondition, skill, _weight(task.kind))
+
+
+def _weight(kind: str) -> float:
+    """Of one idea: named tasks that differ only in block or side share their kind's weight."""
+    return _WEIGHTS.get(kind, 1.0)
+
+
+def _skill_for(task: Task, goal: Array, hand: Hand, achieved: Array) -> Skill | None:
+    """The skill by which play brings about the goal of a named task; None where nothing is to be done."""
+    name = task.name
+    if task.kind in ("open_drawer", "close_drawer"):
+        return Slide(name, POSTS[DRAWER], float(goal[DRAWER]))
+    if task.kind == "slider":
+        return Slide(name, POSTS[SLIDER], float(goal[SLIDER]))
+    if task.kind == "lamp":
+        return Press(name, bool(goal[LED] > 0.5))
+    if task.kind == "lever":
+        return Flip(name, bool(goal[BULB] > 0.5))
+    index = next((i for i in _ALL if not np.allclose(block(goal, i), block(achieved, i), atol=1e-4)), None)
+    if index is None:
         return None
-    if name.startswith("push"):
-        return Push(name, index, (float(pose[0]), float(pose[1])))
-    return _carry(goal, index, name)
+    if task.kind == "push":
+        x, y, z = map(float, block(goal, index)[:3])
+        return Push(name, Block(index), (x, y, z))
+    if task.kind == "push_into_drawer":
+        return PushIn(name, index)
+    return carry(hand, achieved, index, block(goal, index), name, lasting=task.kind != "lift")
 
 
-def _in_hand(hand: Hand, achieved: Array) -> int | None:
-    return next((i for i in range(len(BLOCK_NAMES)) if Block(i).held(hand, achieved)), None)
+def _of_block(index: int) -> list[Idea]:
+    """What play does with a block that is no named task."""
+    name = BLOCK_NAMES[index]
+
+    def put(kind: str, possible: Callable[[Array], bool]) -> Idea:
+        def skill(hand: Hand, achieved: Array, rng: np.random.Generator) -> Skill:
+            return carry(hand, achieved, index, block(placed(achieved, index, rng), index), f"{kind}_{name}")
+
+        return Idea(f"{kind}_{name}", kind, possible, skill, _weight(kind))
+
+    def tip(hand: Hand, achieved: Array, rng: np.random.Generator) -> Skill:
+        return Tip(f"tip_{name}", index)
+
+    return [
+        put("place", lambda achieved: lies_free(achieved, index)),
+        put("unstow", lambda achieved: _out_of_drawer(achieved, index)),
+        put("unshelve", lambda achieved: _out_of_bay(achieved, index)),
+        Idea(f"tip_{name}", "tip", lambda achieved: upright(block(achieved, index)), tip, _weight("tip")),
+    ]
 
 
-def _block_there(achieved: Array, goal: Array, index: int) -> bool:
-    at, to = block(achieved, index), block(goal, index)
-    off = (direction(at) - direction(to) + np.pi / 2) % np.pi - np.pi / 2
-    return bool(np.hypot(*(at[:2] - to[:2])) < 0.025 and abs(at[2] - to[2]) < 0.015 and abs(off) < 0.3)
+def _out_of_drawer(achieved: Array, index: int) -> bool:
+    return bool(in_tray(achieved, index) and achieved[DRAWER] > 0.14 and clear(achieved, index))
 
 
-def _carry(goal: Array, index: int, name: str | None = None) -> Carry:
-    pose = block(goal, index)
-    resting = in_tray(goal, index) or pose[2] < scene.TABLE_Z + 0.03 or _supported(goal, index)
-    stowing = pose[1] > 0.08 and pose[2] < scene.TABLE_Z + 0.05
-    return Carry(
-        name or f"carry_{BLOCK_NAMES[index]}",
-        Block(index),
-        (float(pose[0]), float(pose[1]), float(pose[2])),
-        direction(pose),
-        lasting=resting,
-        drop=_HOLLOW if stowing else 0.002,
-    )
+def _out_of_bay(achieved: Array, index: int) -> bool:
+    return in_bay(achieved, index) and clear(achieved, index) and not covered(achieved, index)
 
 
-def _supported(goal: Array, index: int) -> bool:
-    pose = block(goal, index)
-    below = [block(goal, i) for i in range(len(BLOCK_NAMES)) if i != index]
-    return any(np.hypot(*(pose[:2] - b[:2])) < 0.045 and 0.025 < pose[2] - b[2] < 0.055 for b in below)
+def _fixture(name: str, kind: str, index: int, travel: float) -> Idea:
+    """A fixture slid to anywhere."""
+
+    def skill(hand: Hand, achieved: Array, rng: np.random.Generator) -> Skill:
+        return Slide(f"slide_{name}", POSTS[index], float(rng.uniform(0, travel)))
+
+    return Idea(f"slide_{name}", kind, lambda _: True, skill, 0.3)

@@ -1,7 +1,11 @@
-"""The named tasks of PlayTable: where each starts, what it asks for, and how it is judged."""
+"""The named tasks of PlayTable, CALVIN's 34 (Mees et al., 2022): where each starts, what it asks for, how it is judged.
 
+Left and right are the robot's: y > 0 is its left. Turned left is counter-clockwise as seen from above.
+Where a task does not say which block, `command` draws one of those that suit; the goal tells which it was.
+"""
+
+import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -10,198 +14,266 @@ import numpy as np
 from playlearn.episode import Array
 from playlearn.sim.environment import Task
 from playlearn.tasks.playtable import scene
+from playlearn.tasks.playtable.blocks import DRAWS, LEFT, RIGHT, BlockTasks
+from playlearn.tasks.playtable.layout import (
+    BLOCK_NAMES,
+    BULB,
+    CLOSED,
+    DRAWER,
+    LED,
+    LEVER,
+    LYING_Z,
+    OPEN,
+    SLIDER,
+    STOWED_Z,
+    bases,
+    block,
+    clear,
+    direction,
+    distance,
+    free_spot,
+    in_bay,
+    in_tray,
+    lies_free,
+    on_table,
+    others,
+    slider_y,
+    supporter,
+    tray_y,
+    with_block,
+    with_drawer,
+)
 
-Range = tuple[float, float]
-
-BLOCK_NAMES = tuple(scene.BLOCKS)
-DRAWER, LAMP = 15, 16
-LYING_Z = scene.TABLE_Z + 0.02
-FREE_X, FREE_Y = (-0.12, 0.17), (-0.19, 0.05)  # where blocks are laid, metres
-OPEN, CLOSED = 0.12, 0.03  # metres of drawer opening
-NEAR = 0.04  # metres
-
-
-def block(achieved: Array, index: int) -> Array:
-    """(5,) x, y, z, c, s of one block: a view."""
-    return achieved[5 * index : 5 * index + 5]
-
-
-def direction(pose: Array) -> float:
-    """Yaw of a block's long axis in (-pi/2, pi/2] from its (c, s)."""
-    return float(np.arctan2(pose[4], pose[3]) / 2)
-
-
-def free_spot(others: Array, rng: np.random.Generator, away: float = 0.09) -> Array:
-    """(2,) a random place to lay a block, `away` metres from all `others` (n, 2)."""
-    for _ in range(200):
-        spot = rng.uniform((FREE_X[0], FREE_Y[0]), (FREE_X[1], FREE_Y[1]))
-        if (np.hypot(*(others - spot).T) > away).all():
-            break
-    return spot
-
-
-def in_tray(achieved: Array, index: int) -> bool:
-    """Whether block `index` lies in the drawer."""
-    pose, centre = block(achieved, index), scene.tray_centre(float(achieved[DRAWER]))
-    return bool((np.abs(pose[:2] - centre) < scene.TRAY_HALF).all() and pose[2] < scene.TABLE_Z + 0.05)
-
-
-def on_table(achieved: Array, index: int) -> bool:
-    """Whether block `index` lies flat on the table itself."""
-    pose = block(achieved, index)
-    return bool(abs(pose[2] - LYING_Z) < 0.012 and not in_tray(achieved, index))
-
-
-def supporter(achieved: Array, index: int) -> int | None:
-    """The block that block `index` rests on, if any."""
-    pose = block(achieved, index)
-    for other in range(len(BLOCK_NAMES)):
-        under = block(achieved, other)
-        if other != index and np.hypot(*(pose[:2] - under[:2])) < 0.04 and abs(pose[2] - under[2] - 0.04) < 0.015:
-            return other
-    return None
-
-
-def clear(achieved: Array, index: int) -> bool:
-    """Whether nothing rests on block `index`."""
-    return all(supporter(achieved, other) != index for other in range(len(BLOCK_NAMES)))
+_ALL = range(len(BLOCK_NAMES))
+_SLID = 0.02  # metres from its ends at which the slider counts as left or right
 
 
 def playtable_tasks() -> Mapping[str, Task]:
     """Name -> task, in the order that reports use."""
-    tasks: dict[str, Task] = {}
-    for index, name in enumerate(BLOCK_NAMES):
-        for task in _BlockTasks(index, name).tasks():
-            tasks[task.name] = task
-    for task in (*_of_drawer(), *_of_lamp()):
-        tasks[task.name] = task
-    return MappingProxyType(tasks)
+    blocks = [BlockTasks(index, name) for index, name in enumerate(BLOCK_NAMES)]
+    sides = (("right", RIGHT), ("left", LEFT))
+    tasks = (
+        *(block.rotate(name, side) for block in blocks for name, side in sides),
+        *(block.push(name, side) for block in blocks for name, side in sides),
+        *_of_slider(),
+        *_of_drawer(),
+        *(lift for block in blocks for lift in block.lifts()),
+        *_of_any_block(),
+        *_of_lamp("lightbulb", "lever", BULB),
+        *_of_lamp("led", "lamp", LED),
+    )
+    return MappingProxyType({task.name: task for task in tasks})
 
 
-@dataclass(frozen=True)
-class _BlockTasks:
-    """The seven tasks of one block."""
+# Any block ----------------------------------------------------------------------------------------------
 
-    index: int
-    name: str
 
-    def tasks(self) -> tuple[Task, ...]:
-        name = self.name
-        return (
-            Task(f"lift_{name}", "lift", self.lying, _as_it_comes, self.lift, self.lifted),
-            Task(f"push_{name}", "push", self.lying, _as_it_comes, self.push, self.at_goal),
-            Task(f"rotate_{name}", "rotate", self.lying, _as_it_comes, self.rotate, self.turned),
-            Task(f"place_{name}", "place", self.lying, _as_it_comes, self.place, self.at_goal),
-            Task(f"stow_{name}", "stow", self.can_stow, _opened, self.stow, self.stowed),
-            Task(f"stack_{name}", "stack", self.can_stack, _as_it_comes, self.stack, self.stacked),
-            Task(f"unstack_{name}", "unstack", self.on_top, self.pile, self.place, self.unstacked),
-        )
+def _of_any_block() -> tuple[Task, ...]:
+    return (
+        Task(
+            "place_in_slider", "shelve", _some(can_shelve), _as_it_comes, _with_some(can_shelve, shelved), _came(in_bay)
+        ),
+        Task("place_in_drawer", "stow", _some(can_stow), _opened, _with_some(can_stow, stowed), _came(in_tray)),
+        Task(
+            "push_into_drawer",
+            "push_into_drawer",
+            _some(can_drop),
+            _near_edge,
+            _with_some(can_drop, dropped),
+            _came(in_tray),
+        ),
+        Task("stack_block", "stack", _some(can_stack), _as_it_comes, _with_some(can_stack, stacked), _stacked),
+        Task("unstack_block", "unstack", _some(on_top), _piled, _with_some(on_top, placed), _unstacked),
+    )
 
-    @property
-    def others(self) -> list[int]:
-        return [i for i in range(len(BLOCK_NAMES)) if i != self.index]
 
-    # Where a task can start -------------------------------------------------------------------------
+def can_shelve(achieved: Array, index: int) -> bool:
+    return lies_free(achieved, index) and _bay_spot(achieved, index) is not None
 
-    def lying(self, achieved: Array) -> bool:
-        return on_table(achieved, self.index) and clear(achieved, self.index)
 
-    def can_stow(self, achieved: Array) -> bool:
-        return bool(self.lying(achieved) and achieved[DRAWER] > OPEN)
+def can_stow(achieved: Array, index: int) -> bool:
+    return bool(lies_free(achieved, index) and achieved[DRAWER] > OPEN and not any(in_tray(achieved, i) for i in _ALL))
 
-    def can_stack(self, achieved: Array) -> bool:
-        return self.lying(achieved) and bool(self._bases(achieved))
 
-    def on_top(self, achieved: Array) -> bool:
-        return supporter(achieved, self.index) is not None and clear(achieved, self.index)
+def can_drop(achieved: Array, index: int) -> bool:
+    """Whether it lies before the open drawer, its long side to the edge, with fingers' room behind it."""
+    pose = block(achieved, index)
+    before = abs(pose[0] - scene.TRAY_X) < 0.045 and pose[1] > scene.EDGE_Y - 0.14
+    rest = [block(achieved, other) for other in others(index)]
+    lane = all(
+        abs(other[0] - pose[0]) > 0.075 or other[1] < pose[1] - 0.11 for other in rest if other[2] < LYING_Z + 0.1
+    )
+    return bool(can_stow(achieved, index) and before and lane and abs(direction(pose)) < 0.35)
 
-    def pile(self, env: Any, rng: np.random.Generator) -> None:
-        env.stack(self.index, int(rng.choice(self.others)), rng)
-        env.refresh()
 
-    # What it asks for -------------------------------------------------------------------------------
+def can_stack(achieved: Array, index: int) -> bool:
+    return lies_free(achieved, index) and bool(bases(achieved, index))
 
-    def lift(self, achieved: Array, rng: np.random.Generator) -> Array:
-        return self._moved(achieved, z=block(achieved, self.index)[2] + rng.uniform(0.09, 0.13))
 
-    def push(self, achieved: Array, rng: np.random.Generator) -> Array:
-        """Across its long side, as far as there is room; the goal is `achieved` itself where there is none."""
-        pose = block(achieved, self.index)
-        rest = np.stack([block(achieved, i)[:2] for i in self.others])
-        across = direction(pose) + np.pi / 2
-        for _ in range(50):
-            way = rng.choice([-1.0, 1.0]) * np.array([np.cos(across), np.sin(across)])
-            place = pose[:2] + way * rng.uniform(0.06, 0.10)
-            inside = FREE_X[0] <= place[0] <= FREE_X[1] and FREE_Y[0] <= place[1] <= FREE_Y[1]
-            if inside and (np.hypot(*(rest - place).T) > 0.075).all():
-                return self._moved(achieved, xy=place)
-        return achieved.copy()
+def on_top(achieved: Array, index: int) -> bool:
+    return supporter(achieved, index) is not None and clear(achieved, index)
 
-    def rotate(self, achieved: Array, rng: np.random.Generator) -> Array:
-        yaw = direction(block(achieved, self.index))
-        turns = [turn for turn in rng.uniform(0.7, 1.2, 2) * (1, -1) if abs(yaw + turn) < 1.25]
-        return self._moved(achieved, yaw=yaw + (turns[0] if len(turns) == 1 else rng.choice(turns or [0.0])))
 
-    def place(self, achieved: Array, rng: np.random.Generator) -> Array:
-        """Lying on the table, at least 12 cm from where it is now."""
-        rest = np.stack([block(achieved, i)[:2] for i in self.others])
-        here = block(achieved, self.index)[:2]
-        for _ in range(100):
-            spot = free_spot(rest, rng)
-            if np.hypot(*(spot - here)) > 0.12:
-                break
-        return self._moved(achieved, xy=spot, z=LYING_Z)
+def shelved(achieved: Array, index: int, rng: np.random.Generator) -> Array:
+    """In the uncovered half of the bay, along it."""
+    y = _bay_spot(achieved, index) or scene.BAY_CENTRE[1]
+    xy = (scene.BAY_CENTRE[0] + rng.uniform(-0.01, 0.015), y + rng.uniform(-0.012, 0.012))
+    return with_block(achieved, index, xy, LYING_Z, math.pi / 2 + rng.uniform(-0.15, 0.15))
 
-    def stow(self, achieved: Array, rng: np.random.Generator) -> Array:
-        xy = scene.tray_centre(float(achieved[DRAWER])) + rng.uniform((-0.05, -0.012), (-0.01, 0.012))
-        return self._moved(achieved, xy=xy, z=scene.TRAY_FLOOR + 0.02, yaw=0.0)
 
-    def stack(self, achieved: Array, rng: np.random.Generator) -> Array:
-        under = block(achieved, int(rng.choice(self._bases(achieved) or self.others)))
-        return self._moved(achieved, xy=under[:2], z=under[2] + 0.04, yaw=direction(under))
+def stowed(achieved: Array, index: int, rng: np.random.Generator) -> Array:
+    """In the middle of the drawer, along the way it slides."""
+    xy = (
+        scene.TRAY_X + rng.uniform(-0.02, 0.02),
+        max(tray_y(achieved) + rng.uniform(-0.01, 0.02), scene.EDGE_Y + 0.055),
+    )
+    return with_block(achieved, index, xy, STOWED_Z, math.pi / 2 + rng.uniform(-0.15, 0.15))
 
-    # How it is judged -------------------------------------------------------------------------------
 
-    def at_goal(self, start: Array, achieved: Array, goal: Array) -> bool:
-        return self._distance(achieved, goal) < NEAR and on_table(achieved, self.index)
+def dropped(achieved: Array, index: int, rng: np.random.Generator) -> Array:
+    """Where it comes to lie when it is pushed over the edge."""
+    pose = block(achieved, index)
+    return with_block(achieved, index, (pose[0], scene.EDGE_Y + 0.04), STOWED_Z, direction(pose))
 
-    def turned(self, start: Array, achieved: Array, goal: Array) -> bool:
-        off = direction(block(achieved, self.index)) - direction(block(goal, self.index))
-        off = (off + np.pi / 2) % np.pi - np.pi / 2
-        return bool(abs(off) < np.deg2rad(20) and self._distance(achieved, goal) < 0.05)
 
-    def lifted(self, start: Array, achieved: Array, goal: Array) -> bool:
-        return bool(block(achieved, self.index)[2] > block(start, self.index)[2] + 0.04)
+def stacked(achieved: Array, index: int, rng: np.random.Generator) -> Array:
+    under = block(achieved, int(rng.choice(bases(achieved, index))))
+    return with_block(achieved, index, under[:2], under[2] + 0.04, direction(under))
 
-    def stowed(self, start: Array, achieved: Array, goal: Array) -> bool:
-        return in_tray(achieved, self.index)
 
-    def stacked(self, start: Array, achieved: Array, goal: Array) -> bool:
-        base = supporter(achieved, self.index)
-        return base is not None and base == supporter(goal, self.index)
+def placed(achieved: Array, index: int, rng: np.random.Generator) -> Array:
+    """Lying on the deck, at least 12 cm from where it is now."""
+    here, rest = block(achieved, index), np.stack([block(achieved, i)[:2] for i in others(index)])
+    for _ in range(100):
+        spot = free_spot(rest, rng)
+        if distance(spot, here) > 0.12:
+            break
+    yaw = rng.uniform(-1.0, 1.0) if in_bay(achieved, index) or in_tray(achieved, index) else direction(here)
+    return with_block(achieved, index, spot, LYING_Z, yaw)
 
-    def unstacked(self, start: Array, achieved: Array, goal: Array) -> bool:
-        return on_table(achieved, self.index)
 
-    def _bases(self, achieved: Array) -> list[int]:
-        """The blocks that this one could be stacked on."""
-        return [i for i in self.others if clear(achieved, i) and on_table(achieved, i)]
+def _bay_spot(achieved: Array, index: int) -> float | None:
+    """The y of an uncovered half of the bay in which nothing lies, if there is one."""
+    for y in (scene.BAY_CENTRE[1] - 0.07, scene.BAY_CENTRE[1] + 0.07):
+        rest = [block(achieved, other) for other in others(index)]
+        empty = all(math.hypot(o[0] - scene.BAY_CENTRE[0], o[1] - y) > 0.085 for o in rest)
+        if empty and abs(y - slider_y(achieved)) > 0.10:
+            return y
+    return None
 
-    def _distance(self, achieved: Array, goal: Array) -> float:
-        return float(np.hypot(*(block(achieved, self.index)[:2] - block(goal, self.index)[:2])))
 
-    def _moved(
-        self, achieved: Array, xy: Array | None = None, z: float | None = None, yaw: float | None = None
-    ) -> Array:
-        goal = achieved.copy()
-        pose = block(goal, self.index)
-        if xy is not None:
-            pose[:2] = xy
-        if z is not None:
-            pose[2] = z
-        if yaw is not None:
-            pose[3:] = (np.cos(2 * yaw), np.sin(2 * yaw))
-        return goal
+def _some(suits: Callable[[Array, int], bool]) -> Callable[[Array], bool]:
+    return lambda achieved: any(suits(achieved, index) for index in _ALL)
+
+
+def _with_some(
+    suits: Callable[[Array, int], bool], moved: Callable[[Array, int, np.random.Generator], Array]
+) -> Callable[[Array, np.random.Generator], Array]:
+    def command(achieved: Array, rng: np.random.Generator) -> Array:
+        fit = [index for index in _ALL if suits(achieved, index)]
+        return moved(achieved, int(rng.choice(fit)), rng)
+
+    return command
+
+
+def _came(inside: Callable[[Array, int], bool]) -> Callable[[Array, Array, Array], bool]:
+    """Content exactly when every block that the goal shows newly there is there."""
+
+    def judge(start: Array, achieved: Array, goal: Array) -> bool:
+        new = [i for i in _ALL if inside(goal, i) and not inside(start, i)]
+        return bool(new) and all(inside(achieved, i) for i in new)
+
+    return judge
+
+
+def _stacked(start: Array, achieved: Array, goal: Array) -> bool:
+    """Content exactly when every block that the goal shows newly on another is on that one."""
+    new = {i: supporter(goal, i) for i in _ALL if supporter(goal, i) not in (None, supporter(start, i))}
+    return bool(new) and all(supporter(achieved, i) == under for i, under in new.items())
+
+
+def _unstacked(start: Array, achieved: Array, goal: Array) -> bool:
+    """Content exactly when every block that the goal shows taken off another lies on the deck."""
+    off = [i for i in _ALL if supporter(start, i) is not None and supporter(goal, i) is None]
+    return bool(off) and all(on_table(achieved, i) for i in off)
+
+
+# Fixtures -----------------------------------------------------------------------------------------------
+
+
+def _of_slider() -> tuple[Task, ...]:
+    def slide(name: str, sign: int) -> Task:
+        ends = {RIGHT: (0.0, _SLID), LEFT: (scene.SLIDER_TRAVEL - _SLID, scene.SLIDER_TRAVEL)}
+
+        def suits(achieved: Array) -> bool:
+            return bool(abs(achieved[SLIDER] - np.mean(ends[sign])) > 0.08)
+
+        def arrange(env: Any, rng: np.random.Generator) -> None:
+            env.slide_slider(rng.uniform(*ends[-sign]))
+            env.refresh()
+
+        def command(achieved: Array, rng: np.random.Generator) -> Array:
+            goal = achieved.copy()
+            goal[SLIDER] = rng.uniform(*ends[sign])
+            return goal
+
+        def judge(start: Array, achieved: Array, goal: Array) -> bool:
+            return bool(abs(achieved[SLIDER] - goal[SLIDER]) < 0.03)
+
+        return Task(f"move_slider_{name}", "slider", suits, arrange, command, judge)
+
+    return slide("left", LEFT), slide("right", RIGHT)
+
+
+def _of_drawer() -> tuple[Task, ...]:
+    closed, opened = (0.0, 0.01), (scene.DRAWER_TRAVEL - 0.02, scene.DRAWER_TRAVEL)
+
+    def slide(
+        name: str, suits: Callable[[Array], bool], before: tuple[float, float], after: tuple[float, float]
+    ) -> Task:
+        def arrange(env: Any, rng: np.random.Generator) -> None:
+            env.slide_drawer(rng.uniform(*before))
+            env.refresh()
+
+        def command(achieved: Array, rng: np.random.Generator) -> Array:
+            return with_drawer(achieved, rng.uniform(*after))
+
+        def judge(start: Array, achieved: Array, goal: Array) -> bool:
+            return bool(abs(achieved[DRAWER] - goal[DRAWER]) < 0.03)
+
+        return Task(name, name, suits, arrange, command, judge)
+
+    return (
+        slide("open_drawer", lambda achieved: bool(achieved[DRAWER] < CLOSED), closed, opened),
+        slide("close_drawer", lambda achieved: bool(achieved[DRAWER] > OPEN), opened, closed),
+    )
+
+
+def _of_lamp(name: str, kind: str, index: int) -> tuple[Task, ...]:
+    def switch(verb: str, lit: bool) -> Task:
+        def arrange(env: Any, rng: np.random.Generator) -> None:
+            env.switch(**{kind: not lit})
+            env.refresh()
+
+        def command(achieved: Array, rng: np.random.Generator) -> Array:
+            goal = achieved.copy()
+            goal[index] = float(lit)
+            if index == BULB:
+                goal[LEVER] = scene.LEVER_RANGE if lit else -scene.LEVER_RANGE
+            return goal
+
+        def judge(start: Array, achieved: Array, goal: Array) -> bool:
+            return bool((achieved[index] > 0.5) == lit)
+
+        def suits(achieved: Array) -> bool:
+            return bool((achieved[index] > 0.5) != lit)
+
+        return Task(f"turn_{verb}_{name}", kind, suits, arrange, command, judge)
+
+    return switch("on", True), switch("off", False)
+
+
+# Where they start ---------------------------------------------------------------------------------------
 
 
 def _as_it_comes(env: Any, rng: np.random.Generator) -> None:
@@ -213,52 +285,21 @@ def _opened(env: Any, rng: np.random.Generator) -> None:
     env.refresh()
 
 
-def _of_drawer() -> tuple[Task, ...]:
-    def slide(low: float, high: float) -> Callable[[Array, np.random.Generator], Array]:
-        def command(achieved: Array, rng: np.random.Generator) -> Array:
-            goal = achieved.copy()
-            goal[DRAWER] = rng.uniform(low, high)
-            carry = goal[DRAWER] - achieved[DRAWER]
-            for index in range(len(BLOCK_NAMES)):
-                if in_tray(achieved, index):
-                    block(goal, index)[1] -= carry
-            return goal
-
-        return command
-
-    def arrange(low: float, high: float) -> Callable[[Any, np.random.Generator], None]:
-        def bring(env: Any, rng: np.random.Generator) -> None:
-            env.slide_drawer(rng.uniform(low, high))
-            env.refresh()
-
-        return bring
-
-    def near(start: Array, achieved: Array, goal: Array) -> bool:
-        return bool(abs(achieved[DRAWER] - goal[DRAWER]) < 0.03)
-
-    def drawer(kind: str, suits: Callable[[Array], bool], before: Range, after: Range) -> Task:
-        return Task(kind, kind, suits, arrange(*before), slide(*after), near)
-
-    closed, opened = (0.0, 0.01), (scene.DRAWER_TRAVEL - 0.02, scene.DRAWER_TRAVEL)
-    return (
-        drawer("open_drawer", lambda achieved: bool(achieved[DRAWER] < CLOSED), closed, opened),
-        drawer("close_drawer", lambda achieved: bool(achieved[DRAWER] > OPEN), opened, closed),
-    )
+def _near_edge(env: Any, rng: np.random.Generator) -> None:
+    """A block before the open drawer, in which nothing lies."""
+    env.slide_drawer(rng.uniform(OPEN + 0.01, scene.DRAWER_TRAVEL))
+    env.vacate(in_tray, rng)
+    index = int(rng.integers(len(BLOCK_NAMES)))
+    for _ in range(DRAWS):
+        xy = (scene.TRAY_X + rng.uniform(-0.04, 0.04), scene.EDGE_Y - rng.uniform(0.07, 0.12))
+        env.lay(index, xy, rng.uniform(-0.3, 0.3))
+        env.refresh()
+        if can_drop(env.achieved(), index):
+            return
 
 
-def _of_lamp() -> tuple[Task, ...]:
-    def task(name: str, lit: bool) -> Task:
-        def arrange(env: Any, rng: np.random.Generator) -> None:
-            env.switch(not lit)
-
-        def command(achieved: Array, rng: np.random.Generator) -> Array:
-            goal = achieved.copy()
-            goal[LAMP] = float(lit)
-            return goal
-
-        def judge(start: Array, achieved: Array, goal: Array) -> bool:
-            return bool((achieved[LAMP] > 0.5) == lit)
-
-        return Task(name, "lamp", lambda achieved: bool((achieved[LAMP] > 0.5) != lit), arrange, command, judge)
-
-    return task("lamp_on", True), task("lamp_off", False)
+def _piled(env: Any, rng: np.random.Generator) -> None:
+    top, below = rng.permutation(len(BLOCK_NAMES))[:2]
+    env.lay(int(below), free_spot(np.stack([block(env.achieved(), i)[:2] for i in others(int(below))]), rng), 0.0)
+    env.stack(int(top), int(below), rng)
+    env.refresh()

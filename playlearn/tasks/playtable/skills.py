@@ -1,5 +1,6 @@
-"""The skills of PlayTable beside carrying: pushing a block, sliding the drawer, pressing the button."""
+"""The skills of PlayTable beside carrying: sliding a fixture by its post, pressing, flipping, pushing over the edge."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -7,20 +8,37 @@ import numpy as np
 
 from playlearn.episode import Array
 from playlearn.tasks.playtable import scene
-from playlearn.tasks.playtable.named import DRAWER, LAMP, block, direction, in_tray
+from playlearn.tasks.playtable.fit import ACROSS, ALONG, fits
+from playlearn.tasks.playtable.layout import (
+    BULB,
+    DRAWER,
+    LED,
+    LEVER,
+    SLIDER,
+    block,
+    direction,
+    in_bay,
+    in_tray,
+    others,
+    upright,
+)
 from playlearn.teleop.hand import CLOSE, OPEN, REST_YAW, Hand, Style
 from playlearn.teleop.skills import Waypoint, up, waypoint
 
-HIGH = scene.TABLE_Z + 0.14
-POST_GRIP_Z = scene.POST_TOP - 0.015
-TIP = 0.005  # metres from the grip site down to where the fingers touch
+HIGH = scene.TABLE_Z + 0.16
+TIP = 0.009  # metres from the grip site down to where the fingers end
+_WIDTHS = {ACROSS: (0.028, 0.050), ALONG: (0.060, 0.0745)}  # metres between the pads while a block is held
 
 
 @dataclass(frozen=True)
 class Block:
-    """A `Thing`: block `index`, gripped across its long side."""
+    """A `Thing`: block `index`, gripped across its long side where fingers fit there, else along it.
+
+    to: where it is going ((3,) m and yaw), if that matters to how it is gripped.
+    """
 
     index: int
+    to: tuple[float, float, float, float] | None = None
     symmetry: float = np.pi
 
     def position(self, achieved: Array) -> Array:
@@ -30,98 +48,118 @@ class Block:
         return direction(block(achieved, self.index))
 
     def grasp(self, hand: Hand, achieved: Array) -> tuple[Array, float]:
-        lift = 0.012 if in_tray(achieved, self.index) else 0.0  # the palm keeps clear of the tray's walls
-        return self.position(achieved) + up(lift), self.yaw(achieved) + np.pi / 2
+        pose = block(achieved, self.index)
+        low = in_tray(achieved, self.index) or in_bay(achieved, self.index)
+        lift = 0.013 if low or upright(pose) else 0.0  # the palm keeps clear of the deck, the rail and the slider
+        return self.position(achieved) + up(lift), direction(pose) + self.way(hand, achieved)
+
+    def way(self, hand: Hand, achieved: Array) -> float:
+        """Across or along: as it is gripped already, else as there is room here, and there."""
+        held = gripped(hand, achieved, self.index)
+        if held is not None:
+            return held
+        pose = block(achieved, self.index)
+        if upright(pose):
+            return ACROSS
+        away = hand.position - pose[:3]
+        if math.hypot(away[0], away[1]) < 0.015 and away[2] < 0.035:  # on its way down it does not think again
+            return ACROSS if hand.yaw_error(direction(pose) + ACROSS) < np.pi / 4 else ALONG
+        here = [way for way in (ACROSS, ALONG) if fits(achieved, self.index, pose[:3], direction(pose) + way)]
+        both = [way for way in here if self.fits_there(achieved, way)]
+        return (both or here or [ACROSS])[0]
+
+    def fits_there(self, achieved: Array, way: float) -> bool:
+        """Whether it can be let go where it is going, gripped that way."""
+        return self.to is None or fits(achieved, self.index, self.to[:3], self.to[3] + way)
 
     def held(self, hand: Hand, achieved: Array) -> bool:
-        off = hand.position - block(achieved, self.index)[:3]
-        return bool(0.028 < hand.opening < 0.050 and np.hypot(*off[:2]) < 0.03 and abs(off[2]) < 0.03)
+        return gripped(hand, achieved, self.index) is not None
 
     def clearance(self, place: Array, height: float) -> float:
-        """The drawer's post and roof stand in the way of low flight."""
-        return max(height, 0.12) if place[1] > 0.06 else height
+        """The posts stand in the way of low flight, and blocks on blocks."""
+        x, y, z = map(float, place)
+        if x < -0.08:
+            return max(height, scene.TABLE_Z + 0.155 - z)
+        return max(height, scene.TABLE_Z + 0.11 - z) if y > 0.12 or y < -0.2 else height
+
+
+def gripped(hand: Hand, achieved: Array, index: int) -> float | None:
+    """How block `index` is between the fingers: ACROSS or ALONG; None where it is not."""
+    pose = block(achieved, index)
+    off = hand.position - pose[:3]
+    if math.hypot(off[0], off[1]) > 0.03 or not -0.03 < off[2] < 0.032:
+        return None
+    for way, (least, most) in _WIDTHS.items():
+        turned = hand.yaw_error(direction(pose) + way)
+        if least < hand.opening < most and (turned < 0.6 or upright(pose)):
+            return way
+    return None
 
 
 @dataclass(frozen=True)
-class Push:
-    """Push block `index` along the table to `position` (2,) m with closed fingers."""
+class Post:
+    """A fixture that slides along y, seen in `achieved[index]`; its post stands at `xy` when that is 0."""
 
-    name: str
     index: int
-    position: tuple[float, float]
-    lasting: bool = True
+    xy: tuple[float, float]
+    grip_z: float
 
-    def act(self, hand: Hand, achieved: Array, style: Style) -> Array:
-        pose = block(achieved, self.index)
-        here = pose[:2].astype(float)
-        way = np.array(self.position) - here
-        left = float(np.linalg.norm(way))
-        way = way / max(left, 1e-6)
-        across = np.array([-way[1], way[0]])
-        offset = hand.position[:2] - here
-        along, aside = float(offset @ way), float(offset @ across)
-        yaw = direction(pose) + np.pi / 2
-        low = scene.TABLE_Z + 0.02
-        if left < 0.016:
-            return hand.move(np.array([*hand.position[:2], HIGH]), yaw, CLOSE, style.speed)
-        behind = along < -0.025 and abs(aside) < 0.02
-        if hand.position[2] < low + 0.012 and behind:
-            target = here + way * (min(left, 0.05) - 0.02) - 1.5 * aside * across
-            return hand.move(np.array([*target, low]), yaw, CLOSE, 0.6 * style.speed)
-        start = here - 0.062 * way
-        miss = float(np.hypot(*(hand.position[:2] - start)))
-        above = min(style.approach, 4.0 * max(0.0, miss - 0.010))
-        return hand.move(np.array([*start, low + above]), yaw, CLOSE, style.speed)
+    def at(self, value: float) -> Array:
+        """(3,) m, where to grip it."""
+        return np.array([self.xy[0], self.xy[1] + value, self.grip_z])
 
-    def done(self, hand: Hand, achieved: Array) -> bool:
-        left = np.hypot(*(block(achieved, self.index)[:2] - self.position))
-        return bool(left < 0.03 and hand.position[2] > scene.TABLE_Z + 0.09)
 
-    def plan(self, hand: Hand, achieved: Array, style: Style) -> Sequence[Waypoint]:
-        pose = block(achieved, self.index)
-        here, target = pose[:2].astype(float), np.array(self.position)
-        way = (target - here) / max(float(np.linalg.norm(target - here)), 1e-6)
-        yaw, low = direction(pose) + np.pi / 2, scene.TABLE_Z + 0.02
-        start, end = np.array([*(here - 0.062 * way), low]), np.array([*(target - 0.03 * way), low])
-        above, clear = start + up(style.approach), end + up(0.1)
-        return tuple(waypoint(place, yaw, CLOSE) for place in (above, start, end, clear))
+POSTS = {
+    DRAWER: Post(DRAWER, scene.DRAWER_POST_XY, scene.DRAWER_POST_TOP - 0.014),
+    SLIDER: Post(SLIDER, (scene.BAY_CENTRE[0], scene.SLIDER_Y), scene.SLIDER_POST_TOP - 0.015),
+}
 
 
 @dataclass(frozen=True)
 class Slide:
-    """Take the drawer by its post and bring its opening to `opening` m."""
+    """Take a fixture by its post and bring it to `value` m."""
 
     name: str
-    opening: float
+    post: Post
+    value: float
     lasting: bool = True
 
     def act(self, hand: Hand, achieved: Array, style: Style) -> Array:
-        now = float(achieved[DRAWER])
-        post = np.array([scene.POST_XY[0], scene.POST_XY[1] - now, POST_GRIP_Z])
-        off = float(np.hypot(*(hand.position - post)[:2]))
-        level = abs(hand.position[2] - POST_GRIP_Z) < 0.015
-        held = 0.010 < hand.opening < 0.034 and off < 0.02 and level
-        left = self.opening - now
+        now = float(achieved[self.post.index])
+        post = self.post.at(now)
+        off, level, held = self._grip(hand, post)
+        left = self.value - now
         if held and abs(left) > 0.006:
-            ahead = np.array([0.0, left + np.sign(left) * 0.01, 0.0])
-            return hand.move(post - ahead, REST_YAW, CLOSE, style.speed)
+            return hand.move(post + np.array([0.0, left + np.sign(left) * 0.01, 0.0]), REST_YAW, CLOSE, style.speed)
         if held or abs(left) <= 0.02:
             away = hand.position + up(0.08 if hand.opening > 0.036 else 0.0)
             return hand.move(away, REST_YAW, OPEN, style.speed)
         turn = hand.yaw_error(REST_YAW)
         rise = 4.0 * max(0.0, off - 0.008) + 0.15 * max(0.0, turn - 0.12)
-        target = post + up(min(style.approach, rise))
+        target = post + up(min(max(style.approach, scene.TABLE_Z + 0.11 - post[2]), rise))
         if hand.position[2] < target[2] - 0.02:
             target[:2] = hand.position[:2] + 0.2 * (target - hand.position)[:2]
         down = level and off < 0.014 and turn < 0.22
         return hand.move(target, REST_YAW, CLOSE if down else OPEN, style.speed)
 
+    def underway(self, hand: Hand, achieved: Array) -> bool:
+        """Whether it has begun and is not there yet."""
+        now = float(achieved[self.post.index])
+        return self._grip(hand, self.post.at(now))[2] and abs(self.value - now) > 0.006
+
+    @staticmethod
+    def _grip(hand: Hand, post: Array) -> tuple[float, bool, bool]:
+        """How far in metres the hand is from the post, whether it is at its height, and whether it has hold of it."""
+        off = float(np.hypot(*(hand.position - post)[:2]))
+        level = bool(abs(hand.position[2] - post[2]) < 0.015)
+        return off, level, 0.010 < hand.opening < 0.034 and off < 0.02 and level
+
     def done(self, hand: Hand, achieved: Array) -> bool:
-        return bool(abs(achieved[DRAWER] - self.opening) <= 0.02 and hand.position[2] > POST_GRIP_Z + 0.05)
+        near = abs(achieved[self.post.index] - self.value) <= 0.02
+        return bool(near and hand.position[2] > self.post.grip_z + 0.05)
 
     def plan(self, hand: Hand, achieved: Array, style: Style) -> Sequence[Waypoint]:
-        post = np.array([scene.POST_XY[0], scene.POST_XY[1] - float(achieved[DRAWER]), POST_GRIP_Z])
-        end = post - np.array([0.0, self.opening - float(achieved[DRAWER]), 0.0])
+        post, end = self.post.at(float(achieved[self.post.index])), self.post.at(self.value)
         return (
             waypoint(post + up(style.approach), REST_YAW, OPEN),
             waypoint(post, REST_YAW, CLOSE, wait=5),
@@ -133,7 +171,7 @@ class Slide:
 
 @dataclass(frozen=True)
 class Press:
-    """Press the button until the lamp is `lit` or not."""
+    """Press the button until the LED is `lit` or not."""
 
     name: str
     lit: bool
@@ -141,7 +179,7 @@ class Press:
 
     def act(self, hand: Hand, achieved: Array, style: Style) -> Array:
         x, y = scene.BUTTON_XY
-        if (achieved[LAMP] > 0.5) == self.lit:
+        if (achieved[LED] > 0.5) == self.lit:
             leaving = 0.1 if hand.position[2] < scene.BUTTON_TOP + 0.02 else 1.0  # a button is let go slowly
             away = np.array([*hand.position[:2], HIGH])
             return hand.move(away, REST_YAW, CLOSE, leaving * style.speed)
@@ -150,12 +188,147 @@ class Press:
         above = min(style.approach, 4.0 * max(0.0, off - (0.020 if low else 0.010)))
         pressing = -0.04 if above == 0.0 and hand.opening < 0.02 else 0.02
         speed = style.speed * (0.5 if low else 1.0)
-        return hand.move(np.array([x, y, scene.BUTTON_TOP + TIP + pressing + above]), REST_YAW, CLOSE, speed)
+        return hand.move(np.array([x, y, scene.BUTTON_TOP + 0.005 + pressing + above]), REST_YAW, CLOSE, speed)
 
     def done(self, hand: Hand, achieved: Array) -> bool:
-        return bool((achieved[LAMP] > 0.5) == self.lit and hand.position[2] > HIGH - 0.04)
+        return bool((achieved[LED] > 0.5) == self.lit and hand.position[2] > HIGH - 0.06)
 
     def plan(self, hand: Hand, achieved: Array, style: Style) -> Sequence[Waypoint]:
-        top = np.array([*scene.BUTTON_XY, scene.BUTTON_TOP + TIP])
+        top = np.array([*scene.BUTTON_XY, scene.BUTTON_TOP + 0.005])
         over = waypoint(top + up(style.approach), REST_YAW, CLOSE)
         return (over, waypoint(top - up(0.03), REST_YAW, CLOSE, wait=2), over)
+
+
+@dataclass(frozen=True)
+class Flip:
+    """Push the lever's knob across its middle with closed fingers: to the left, where the bulb is lit, or back."""
+
+    name: str
+    lit: bool
+    lasting: bool = True
+
+    def act(self, hand: Hand, achieved: Array, style: Style) -> Array:
+        x, _ = scene.LEVER_XY
+        side = -1.0 if self.lit else 1.0  # of the knob, on which the hand comes down
+        if self._over(achieved):
+            low = hand.position[2] < _FLIP_Z + 0.03
+            away = np.array([hand.position[0], hand.position[1] + (0.03 * side if low else 0.0), HIGH])
+            return hand.move(away, REST_YAW, CLOSE, style.speed)
+        knob = self._knob(achieved)
+        beside = side * (hand.position[1] - knob)
+        low = hand.position[2] < _FLIP_Z + 0.02
+        if low and beside > 0.025 and abs(hand.position[0] - x) < 0.025:
+            return hand.move(np.array([x, hand.position[1] - 0.03 * side, _FLIP_Z]), REST_YAW, CLOSE, 0.7 * style.speed)
+        start = np.array([x, knob + 0.065 * side])
+        miss = float(np.hypot(*(hand.position[:2] - start)))
+        above = min(max(style.approach, 0.06), 4.0 * max(0.0, miss - 0.012)) + (0.05 if hand.opening > 0.02 else 0.0)
+        target = np.array([*start, _FLIP_Z + above])
+        if hand.position[2] < target[2] - 0.02:
+            target[:2] = hand.position[:2] + 0.2 * (target - hand.position)[:2]
+        return hand.move(target, REST_YAW, CLOSE, style.speed)
+
+    def done(self, hand: Hand, achieved: Array) -> bool:
+        return bool(self._over(achieved) and hand.position[2] > HIGH - 0.06)
+
+    def plan(self, hand: Hand, achieved: Array, style: Style) -> Sequence[Waypoint]:
+        side = -1.0 if self.lit else 1.0
+        x, y = scene.LEVER_XY
+        start = np.array([x, self._knob(achieved) + 0.065 * side, _FLIP_Z])
+        end = np.array([x, y + 0.03 * side, _FLIP_Z])
+        stops = (start + up(style.approach), start, end, end + up(0.08))
+        return tuple(waypoint(place, REST_YAW, CLOSE) for place in stops)
+
+    def _over(self, achieved: Array) -> bool:
+        return bool((achieved[BULB] > 0.5) == self.lit and abs(achieved[LEVER]) > 0.6 * scene.LEVER_RANGE)
+
+    def _knob(self, achieved: Array) -> float:
+        return scene.LEVER_XY[1] + scene.LEVER_LENGTH * math.sin(achieved[LEVER])
+
+
+_FLIP_Z = scene.TABLE_Z + 0.074  # low enough to meet the knob, high enough for the palm to pass over it
+
+
+@dataclass(frozen=True)
+class PushIn:
+    """Push block `index` over the deck's edge into the open drawer, with closed fingers."""
+
+    name: str
+    index: int
+    lasting: bool = True
+
+    def act(self, hand: Hand, achieved: Array, style: Style) -> Array:
+        x, y = block(achieved, self.index)[:2].astype(float)
+        low = scene.TABLE_Z + 0.02
+        if in_tray(achieved, self.index):
+            return hand.move(np.array([*hand.position[:2], HIGH]), REST_YAW, CLOSE, style.speed)
+        behind = y - hand.position[1]
+        if hand.position[2] < low + 0.015 and behind > 0.03 and abs(hand.position[0] - x) < 0.02:
+            target = np.array([x, min(y - 0.025, scene.EDGE_Y - 0.005), low])
+            return hand.move(target, 0.0, CLOSE, 0.6 * style.speed)
+        start = np.array([x, y - 0.055])
+        miss = float(np.hypot(*(hand.position[:2] - start)))
+        turn = hand.yaw_error(0.0)
+        above = min(style.approach, 4.0 * max(0.0, miss - 0.010) + 0.1 * max(0.0, turn - 0.15))
+        return hand.move(np.array([*start, low + above]), 0.0, CLOSE, style.speed)
+
+    def done(self, hand: Hand, achieved: Array) -> bool:
+        return in_tray(achieved, self.index) and bool(hand.position[2] > scene.TABLE_Z + 0.08)
+
+    def plan(self, hand: Hand, achieved: Array, style: Style) -> Sequence[Waypoint]:
+        x, y, _ = block(achieved, self.index)[:3].astype(float)
+        start, end = np.array([x, y - 0.055, scene.TABLE_Z + 0.02]), np.array([x, scene.EDGE_Y, scene.TABLE_Z + 0.02])
+        stops = (start + up(style.approach), start, end, end + up(0.1))
+        return tuple(waypoint(place, 0.0, CLOSE) for place in stops)
+
+
+@dataclass(frozen=True)
+class Tip:
+    """Knock over a block that stands on its end, towards the middle of what it stands on."""
+
+    name: str
+    index: int
+    lasting: bool = True
+
+    def act(self, hand: Hand, achieved: Array, style: Style) -> Array:
+        x, y, z = block(achieved, self.index)[:3].astype(float)
+        if not upright(block(achieved, self.index)):
+            return hand.move(hand.position + up(0.08), REST_YAW, CLOSE, style.speed)
+        way = self._way(achieved)
+        high = z + 0.022
+        yaw = math.atan2(way[1], way[0]) + np.pi / 2
+        behind = float((np.array([x, y]) - hand.position[:2]) @ way)
+        aside = float(abs((np.array([x, y]) - hand.position[:2]) @ np.array([-way[1], way[0]])))
+        if abs(hand.position[2] - high) < 0.02 and 0.0 < behind < 0.08 and aside < 0.015:
+            return hand.move(np.array([*(np.array([x, y]) + 0.03 * way), high]), yaw, CLOSE, 0.6 * style.speed)
+        start = np.array([x, y]) - 0.055 * way
+        miss = float(np.hypot(*(hand.position[:2] - start)))
+        above = min(0.08, 4.0 * max(0.0, miss - 0.010) + 0.1 * max(0.0, hand.yaw_error(yaw) - 0.15))
+        target = np.array([*start, high + above])
+        if hand.position[2] < target[2] - 0.02:
+            target[:2] = hand.position[:2] + 0.2 * (target - hand.position)[:2]
+        return hand.move(target, yaw, CLOSE, style.speed)
+
+    def done(self, hand: Hand, achieved: Array) -> bool:
+        pose = block(achieved, self.index)
+        return not upright(pose) and bool(hand.position[2] > pose[2] + 0.08)
+
+    def plan(self, hand: Hand, achieved: Array, style: Style) -> Sequence[Waypoint]:
+        here = block(achieved, self.index)[:3].astype(float) + up(0.022)
+        way = np.array([*self._way(achieved), 0.0])
+        yaw = math.atan2(way[1], way[0]) + np.pi / 2
+        stops = (here - 0.055 * way + up(0.08), here - 0.055 * way, here + 0.02 * way, here + 0.02 * way + up(0.08))
+        return tuple(waypoint(place, yaw, CLOSE) for place in stops)
+
+    def _way(self, achieved: Array) -> Array:
+        """(2,) the unit vector along which it is to fall: away from its neighbours and from edges."""
+        x, y = block(achieved, self.index)[:2].astype(float)
+        if in_tray(achieved, self.index):
+            return np.array([1.0 if x < scene.TRAY_X else -1.0, 0.0])
+        rest = [block(achieved, i)[:2] for i in others(self.index)]
+
+        def room(way: tuple[float, float]) -> float:
+            fx, fy = x + 0.055 * way[0], y + 0.055 * way[1]
+            inside = -0.10 * math.hypot(fx - 0.05, fy + 0.03)
+            return min(0.1, *(math.hypot(fx - other[0], fy - other[1]) for other in rest)) + inside
+
+        return np.array(max(((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)), key=room))
