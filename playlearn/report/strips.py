@@ -15,11 +15,11 @@ from playlearn.store import Store
 Look = Callable[[int, int, str], Array]  # (episode, observation, camera) -> (h, w, 3) uint8
 FRAMES = 10
 GAP, STRIPE, LINE = 2, 5, 15  # pixels between pictures, of the stripe, of a line of text
-# Of several that are true of a step the first is shown; the page's style sheet has the same colours.
+# Of several that are true of a step the first is shown.
 COLOURS = {
     "slip": (200, 69, 59),
-    "mistake": (217, 138, 31),
     "pause": (146, 72, 196),
+    "mistake": (217, 138, 31),
     GAVE_UP: (29, 36, 51),
     "planned": (47, 107, 219),
     "": (176, 184, 197),
@@ -59,7 +59,7 @@ def moments(store: Store, look: Look, camera: str, count: int, rng: np.random.Ge
 def choose(tried: Sequence[Attempt], count: int, rng: np.random.Generator) -> list[Attempt]:
     """Attempts in turn from those with each mark and from those with none; in the order they were made."""
     order = [tried[k] for k in rng.permutation(len(tried)) if tried[k].end - tried[k].begin >= FRAMES]
-    order.sort(key=lambda one: one.cut)  # how it ended is part of the story
+    order.sort(key=lambda one: (one.cut, one.failed))  # how it ended is part of the story, and best that it was mended
     kinds: list[Callable[[Attempt], bool]] = [
         lambda one: MISSED in one.marks,
         lambda one: "slip" in one.marks,
