@@ -28,6 +28,8 @@ from playlearn.errors import PlaylearnError, UsageError
 # LP_NUM_THREADS is that of llvmpipe, Mesa's software GL: 0 draws in the calling thread, without handing over.
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 SINGLE_THREAD = {**dict.fromkeys(THREADS, "1"), "LP_NUM_THREADS": "0"}
+START = 120.0  # seconds beyond a job's own that a worker may take to be there and to import what it needs
+_BEGUN = None  # what a worker says before it does a job
 
 
 class LostError(PlaylearnError):
@@ -104,8 +106,8 @@ class LocalExecutorConfig(ExecutorConfig):
     """Processes of this machine.
 
     workers: how many (null: one for each core this process may use; 0: none, in this very process).
-    timeout: seconds after which a job counts as hung (null: never). retries: further tries of a
-    job whose worker was lost.
+    timeout: seconds after its beginning after which a job counts as hung (null: never). retries: further
+    tries of a job whose worker was lost.
     """
 
     workers: int | None = None
@@ -172,7 +174,7 @@ class LocalExecutor:
                 self._hand_out(pending, crew)
                 for worker, task in self._ready(crew):
                     result = worker.collect(task)
-                    if result is None:
+                    if result is None and (worker.dead() or task.overdue(self._timeout)):
                         crew.remove(worker)
                         result = self._lost(worker, task, pending)
                     if result is None:
@@ -249,23 +251,30 @@ class _Worker:
             self.process.start()
         theirs.close()
         self.task: _Task | None = None
+        self._silent = False
 
     def start(self, task: _Task) -> None:
-        self.task, task.started = task, time.perf_counter()
+        self.task, task.started = task, time.perf_counter() + START  # until it says that it has begun
         # One that died while idle: its sentinel says so, and the job is handed out again.
         with suppress(BrokenPipeError, ConnectionResetError):
             self.pipe.send((task.job.function, dict(task.job.kwargs)))
 
     def collect(self, task: _Task) -> Result | None:
-        """The finished job's result; None where the worker is dead or overdue."""
-        if not self.pipe.poll():
-            return None
+        """The finished job's result; None where there is none."""
         try:
-            value, error = self.pipe.recv()
+            while self.pipe.poll():
+                message = self.pipe.recv()
+                if message is not _BEGUN:
+                    self.task = None
+                    return task.result(*message)
+                task.started = time.perf_counter()
         except (EOFError, OSError):
-            return None
-        self.task = None
-        return task.result(value, error)
+            self._silent = True
+        return None
+
+    def dead(self) -> bool:
+        """Whether nothing more will come from it."""
+        return self._silent or not self.process.is_alive()
 
     def bury(self) -> str:
         """Make sure that a lost worker is gone; how it ended, in words."""
@@ -310,6 +319,7 @@ def _serve(pipe: Connection) -> None:
         if message is None:
             return
         function, kwargs = message
+        _answer(pipe, _BEGUN)
         try:
             answer: tuple[Any, Exception | None] = (function(**kwargs), None)
         except Exception as error:  # noqa: BLE001 - whatever it is, the parent raises it
@@ -326,7 +336,7 @@ def _die_with_parent() -> None:
         os._exit(1)
 
 
-def _answer(pipe: Connection, answer: tuple[Any, Exception | None]) -> None:
+def _answer(pipe: Connection, answer: tuple[Any, Exception | None] | None) -> None:
     try:
         pipe.send(answer)
     except OSError:

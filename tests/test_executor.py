@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from playlearn import executor
 from playlearn.errors import UsageError
 from playlearn.executor import SINGLE_THREAD, Job, LocalExecutorConfig, LostError
 
@@ -85,8 +86,8 @@ def test_workers_live_on_and_are_single_threaded() -> None:
 
 def test_in_a_with_block_workers_live_on_between_runs() -> None:
     """The second run finds the first one's process, and nobody is left when the block ends."""
-    with local(1).build() as executor:
-        first, second = (next(executor.run([Job(0, process_and_threads)])).value[0] for _ in range(2))
+    with local(1).build() as crew:
+        first, second = (next(crew.run([Job(0, process_and_threads)])).value[0] for _ in range(2))
         assert first == second
     with pytest.raises(ProcessLookupError):
         os.kill(first, 0)
@@ -134,10 +135,19 @@ def test_keep_going_yields_the_lost_one_and_finishes_the_others(tmp_path: Path) 
 
 def test_a_hung_worker_is_stopped() -> None:
     started = time.perf_counter()
-    executor = local(1, timeout=1.5, retries=0).build()
+    hung = local(1, timeout=1.5, retries=0).build()
     with pytest.raises(LostError, match=r"did not finish within 1.5 s"):
-        list(executor.run([Job("slow", sleep, {"seconds": 60})]))
+        list(hung.run([Job("slow", sleep, {"seconds": 60})]))
     assert time.perf_counter() - started < 20
+
+
+def test_the_time_a_worker_needs_to_start_is_not_the_jobs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A limit far below what a process takes to start and import stops no job that is quick."""
+    (result,) = local(1, timeout=0.2, retries=0).build().run([Job(0, process_and_threads)])
+    assert result.seconds < 0.2
+    monkeypatch.setattr(executor, "START", 0.0)
+    with pytest.raises(LostError, match=r"did not finish within 0.2 s"):
+        list(local(1, timeout=0.2, retries=0).build().run([Job(0, process_and_threads)]))
 
 
 @pytest.mark.parametrize("workers", [0, 1])

@@ -18,7 +18,7 @@ FAULTS = {1: "killed", 3: "bug", 5: "hangs", 6: "diverges at once", 8: "diverges
 WHY = {
     1: "was killed by SIGKILL",
     3: "ZeroDivisionError: a bug",
-    5: "did not finish within 6 s",
+    5: "did not finish within 3 s",
     6: "ended before its first action: diverged: the point left the plane",
 }
 
@@ -28,7 +28,7 @@ def test_what_fails_loses_nothing_else_and_is_told(
 ) -> None:
     """Of 12 episodes four fail, each in its own way; a fifth diverges on the way and is kept as far as it went."""
     out = tmp_path / "play"
-    arguments = ("collect", "--config", config, "--out", out, "--workers", 2, "--timeout", 6)
+    arguments = ("collect", "--config", config, "--out", out, "--workers", 2, "--timeout", 3)
     code, errors = finish(start(*arguments, faults=FAULTS, retries=0))
     assert code == 1
     store = NativeStore.open(out)
