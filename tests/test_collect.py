@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from playlearn.collect import CollectConfig, collect, render_store
+from playlearn.collect import CollectConfig, collect, play, render_store
+from playlearn.collect.world import world
 from playlearn.errors import RenderError, StoreError, UsageError
 from playlearn.sim import CameraConfig
 from playlearn.store import NativeStore
@@ -26,6 +27,20 @@ def same(a: NativeStore, b: NativeStore) -> None:
         assert one.meta == other.meta
         for name, value in one.arrays().items():
             np.testing.assert_array_equal(value, other.arrays()[name], err_msg=name)
+
+
+def test_play_replays_bit_for_bit() -> None:
+    """From any recorded state the recorded action leads to the next one: what was executed is what is on record."""
+    config = dataclasses.replace(SMALL, steps=60)
+    episode, environment = play(config, 0), world(config.environment)
+    environment.set_state(np.array(episode.sim_state[0]))
+    for t, action in enumerate(episode.action):
+        environment.step(action)
+        np.testing.assert_array_equal(environment.sim_state(), episode.sim_state[t + 1])
+    environment.reset(1)
+    environment.set_state(np.array(episode.sim_state[31]))
+    environment.step(episode.action[31])
+    np.testing.assert_array_equal(environment.sim_state(), episode.sim_state[32])
 
 
 def test_images_drawn_afterwards_equal_those_drawn_live(tmp_path: Path) -> None:
