@@ -20,7 +20,7 @@ CELLS = 28  # of a heat map along its longer side
 BINS = 25
 STILL = 0.01  # metres a second below which a hand, and its fingers, stand still
 EMPTY = 0.004  # metres between fingers that hold nothing
-GAVE_UP, MISSED = "gave_up", "missed_grasp"
+GAVE_UP, AGAIN, MISSED = "gave_up", "again", "missed_grasp"
 MISHAPS = ("mistake", "slip", MISSED)
 
 
@@ -45,16 +45,16 @@ class Attempt:
 
 
 def attempts(store: Store) -> list[Attempt]:
-    """Every attempt of a store; the same skill twice running counts once, unless it was given up between."""
+    """Every attempt of a store. The same skill twice running counts twice where the player said so."""
     found = []
     for i in range(len(store)):
         said = [read_annotation(text) for text in store.meta(i).skills] or [("", ())]
         numbers = store.array(i, "skill")
         own = np.array([[name for name, _ in said].index(name) for name, _ in said])[numbers]
-        gave_up = np.array([GAVE_UP in marks for _, marks in said])[numbers]
-        fresh = np.flatnonzero((own[1:] != own[:-1]) | gave_up[:-1]) + 1
+        gave_up, again = (np.array([mark in marks for _, marks in said])[numbers] for mark in (GAVE_UP, AGAIN))
+        fresh = np.flatnonzero((own[1:] != own[:-1]) | gave_up[:-1] | again[1:]) + 1
         for begin, end in zip([0, *fresh.tolist()], [*fresh.tolist(), len(own)], strict=True):
-            marks = {mark for number in np.unique(numbers[begin:end]) for mark in said[number][1]}
+            marks = {mark for number in np.unique(numbers[begin:end]) for mark in said[number][1]} - {AGAIN}
             if _missed(store, i, begin, end):
                 marks.add(MISSED)
             cut = end == len(own) and GAVE_UP not in marks
@@ -201,14 +201,15 @@ def _hand(store: Store) -> dict[str, Any]:
 
 
 def _step_shares(store: Store) -> dict[str, float]:
-    """Mark -> share of all steps that bear it."""
+    """Mark of what lasts -> share of all steps that bear it."""
     counts: dict[str, int] = {}
     for i in range(len(store)):
         said = store.meta(i).skills
         for number, count in zip(*np.unique(store.array(i, "skill"), return_counts=True), strict=True):
             for mark in read_annotation(said[number])[1] if said else ():
                 counts[mark] = counts.get(mark, 0) + int(count)
-    return {mark: count / int(store.lengths().sum()) for mark, count in sorted(counts.items())}
+    lasting = sorted(set(counts) - {GAVE_UP, AGAIN})
+    return {mark: counts[mark] / int(store.lengths().sum()) for mark in lasting}
 
 
 def _skills(tried: Sequence[Attempt], fps: float) -> dict[str, Any]:

@@ -8,7 +8,8 @@ driver, at that very state, meant to do:
 - A plan is meant, its smooth noise too: the label is the clean action that follows the plan.
 
 The annotation of a step is its skill's name and what else can be said of it (`playlearn.episode.annotation`):
-`planned`, `pause`, `mistake`, `slip`, and `gave_up` at the last step of a skill left without its outcome.
+`planned`, `pause`, `mistake`, `slip`; `gave_up` at the last step of a skill that is left without its outcome, and
+`again` at the first step of one that comes twice running.
 """
 
 from collections.abc import Sequence
@@ -138,11 +139,12 @@ class _Playing:
 
     def act(self, seen: Observation) -> Decision:
         hand, achieved = Hand.seen(seen), seen.achieved
-        skill = self.skill
+        skill, marks = self.skill, []
         if skill is None or self._over(skill, hand, achieved):
-            skill = self._begin(hand, achieved)
+            before, skill = skill, self._begin(hand, achieved)
+            marks = ["again"] if before is not None and before.name == skill.name else []
         self.left -= 1
-        return self._decide(skill, hand, achieved)
+        return self._decide(skill, hand, achieved, marks)
 
     def _over(self, skill: Skill, hand: Hand, achieved: Array) -> bool:
         if self.left <= 0:
@@ -185,12 +187,13 @@ class _Playing:
         skill = None if idea is None else idea.skill(hand, achieved, self.rng)
         return skill or self.driver.towards(hand, achieved, achieved)  # nowhere to go: step back
 
-    def _decide(self, skill: Skill, hand: Hand, achieved: Array) -> Decision:
+    def _decide(self, skill: Skill, hand: Hand, achieved: Array, marks: list[str]) -> Decision:
         """What to do now, what was meant, and what to call it."""
         config, rng, plan = self.config, self.rng, self.plan
         looking = skill.act(hand, achieved, self.style)
         label = looking if plan is None or self.misjudged > 0 else plan.act(hand)
-        marks = [] if plan is None else ["planned"]
+        if plan is not None:
+            marks.append("planned")
         spread = config.noise * np.array([1, 1, 0.6, 0.15, 0.15, 0.5])
         self.noise = config.drift * self.noise + np.sqrt(1 - config.drift**2) * spread * rng.standard_normal(6)
         action = label.copy()

@@ -96,10 +96,10 @@ def strayed(decisions: Sequence[Decision]) -> Array:
 
 
 def test_nothing_asked_for_nothing_done() -> None:
-    """Without noise or mistakes what is executed is the label, and no step bears a mark."""
+    """Without noise or mistakes what is executed is the label, and no step bears a mark but that it is done again."""
     decisions, places = play(NOTHING)
     assert strayed(decisions).max() == 0
-    assert all(read_annotation(decision.skill)[1] == () for decision in decisions)
+    assert {mark for decision in decisions for mark in read_annotation(decision.skill)[1]} == {"again"}
     assert np.ptp(places[:, :2], axis=0).min() > 0.1, "the cube is carried about"
 
 
@@ -154,16 +154,22 @@ def test_a_slip_opens_the_hand_and_the_label_does_not() -> None:
 
 @pytest.mark.parametrize("planned", [0.0, 1.0])
 def test_who_gives_up_does_so_for_good(planned: float) -> None:
-    """Dropped 10 to 59 steps into it: the mark stands on the last step, and nothing lasts longer."""
+    """Dropped 10 to 59 steps into it, the mark on its last step; what is done before is not dropped."""
     decisions, _ = play(dataclasses.replace(NOTHING, give_up=1.0, planned=planned))
-    last = np.flatnonzero(marked(decisions, "gave_up"))
-    assert len(last) > 2000 / 60 - 1
-    assert np.diff(last).max() <= 2 * 59  # a short skill may be done before it is dropped, once between two
+    names = np.array([read_annotation(decision.skill)[0] for decision in decisions])
+    dropped = marked(decisions, "gave_up")
+    begins = np.flatnonzero((names[1:] != names[:-1]) | dropped[:-1] | marked(decisions, "again")[1:]) + 1
+    lengths = np.diff([0, *begins])
+    assert dropped.sum() > 15
+    assert lengths.max() <= 59
+    assert lengths[dropped[begins - 1]].min() >= 10
 
 
 def test_weights_decide_how_often_each_kind_is_tried() -> None:
     only, _ = play(dataclasses.replace(NOTHING, weights={"place": 0.0}), steps=300)
     assert {read_annotation(d.skill)[0] for d in only} == {"point"}
+    # Once there, each further try is done at its first step.
+    assert marked(only, "again")[-100:].all()
     both, _ = play(NOTHING, steps=1500)
     assert {read_annotation(d.skill)[0] for d in both} == {"point", "place"}
 
