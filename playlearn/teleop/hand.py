@@ -1,7 +1,7 @@
 """What a teleoperator sees and commands: the gripper's pose, and motions of it as actions.
 
 The gripper points down. Its yaw is the direction of the finger axis (along which it opens): pi / 2 at
-rest, kept within (0, pi] because a finger axis and its opposite are the same grasp.
+rest, kept within a quarter turn of that because a finger axis and its opposite are the same grasp.
 """
 
 from dataclasses import dataclass
@@ -27,11 +27,15 @@ class Style:
 
 @dataclass(frozen=True, eq=False)
 class Hand:
-    """position (3,) m, rotation (3, 3), opening m between the finger pads."""
+    """position (3,) m, rotation (3, 3), opening m between the finger pads.
+
+    natural: the yaw in rad in the middle of what the wrist can turn, which is where the arm points across.
+    """
 
     position: Array
     rotation: Array
     opening: float
+    natural: float = REST_YAW
 
     @classmethod
     def seen(cls, observation: Observation) -> "Hand":
@@ -47,7 +51,8 @@ class Hand:
 
     def move(self, target: Array, yaw: float, grip: float, speed: float = 1.0) -> Array:
         """(7,) the action that moves towards target (3,) m and yaw rad, gripper pointing down."""
-        yaw = float(np.mod(yaw - 1e-6, np.pi) + 1e-6)
+        low = self.natural - np.pi / 2
+        yaw = low + float(np.mod(yaw - low - 1e-6, np.pi) + 1e-6)
         finger = np.array([np.cos(yaw), np.sin(yaw), 0.0])
         wanted = np.stack([finger, [finger[1], -finger[0], 0.0], [0.0, 0.0, -1.0]], axis=1)
         return self.pose(target, wanted, grip, speed)

@@ -274,7 +274,8 @@ class Leaning:
                 [x * s, y * s, c],
             ]
         )  # about (y, -x, 0)
-        action = self.skill.act(Hand(hand.position, tilt.T @ hand.rotation, hand.opening), achieved, style)
+        upright = Hand(hand.position, tilt.T @ hand.rotation, hand.opening, float(np.arctan2(y, x) + np.pi / 2))
+        action = self.skill.act(upright, achieved, style)
         action[3:6] = (tilt @ action[3:6]).clip(-1, 1)
         return action
 

@@ -1,0 +1,88 @@
+"""Laws of the bins: robosuite's success is ours, a parcel is told the same however it is turned, far is reached."""
+
+import numpy as np
+import pytest
+
+from playlearn.episode import Array, Goal
+from playlearn.rollout import rollout
+from playlearn.tasks import PickPlaceConfig
+from playlearn.tasks.parcel import FLOOR
+from playlearn.tasks.pick_place import _CENTRES, PARCELS, PickPlaceWorld, compartment
+from playlearn.teleop import expert_for
+
+
+@pytest.fixture(scope="module", params=list(PARCELS))
+def world(request: pytest.FixtureRequest) -> PickPlaceWorld:
+    return PickPlaceConfig(object=request.param).build()
+
+
+@pytest.fixture(scope="module")
+def can() -> PickPlaceWorld:
+    return PickPlaceConfig().build()
+
+
+def test_stowed_is_what_robosuite_calls_success(world: PickPlaceWorld) -> None:
+    """robosuite also asks that the hand has left it, as it has here."""
+    own, env = list(PARCELS).index(world.parcel.name), world.robosuite
+    world.reset(0)
+    for index, centre in enumerate(_CENTRES):
+        world.lay(np.array(centre), 0.3)
+        world.refresh()
+        env.sim.data.qpos[:] = world.data.qpos
+        env.sim.forward()
+        assert compartment(world.achieved()) == index
+        assert bool(env._check_success()) == (index == own)
+
+
+def test_it_stands_where_it_was_laid(world: PickPlaceWorld) -> None:
+    """Its height above the floor is what its task's goals say."""
+    world.reset(0)
+    world.lay(np.array([0.1, -0.2]), 0.4)
+    world.settle(20)
+    seen = world.achieved()
+    assert world.parcel.standing(seen)
+    np.testing.assert_allclose(seen[:3], [0.1, -0.2, FLOOR + world.parcel.rest(seen)], atol=0.003)
+
+
+def turned(yaw: float, tip: float) -> Array:
+    c, s, d, e = np.cos(yaw), np.sin(yaw), np.cos(tip), np.sin(tip)
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ np.array([[1, 0, 0], [0, d, -e], [0, e, d]])
+
+
+@pytest.mark.parametrize("name", list(PARCELS))
+def test_a_parcel_is_told_by_how_it_looks(name: str) -> None:
+    """Upside down is no different, and a can's turning about its own axis is not seen."""
+    parcel, here = PARCELS[name], np.zeros(3)
+    for yaw in (-0.5, 0.0, 1.1):
+        for tip in (0.0, 0.4, np.pi / 2):
+            upside_down = turned(yaw, tip) @ np.diag([1.0, -1.0, -1.0])
+            np.testing.assert_allclose(parcel.told(here, upside_down), parcel.told(here, turned(yaw, tip)), atol=1e-6)
+    standing, lying = parcel.told(here, turned(0.3, 0.0)), parcel.told(here, turned(0.3, np.pi / 2))
+    np.testing.assert_allclose(standing[3:6], [1, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(lying[3:6], [0, -np.cos(0.6), -np.sin(0.6)], atol=1e-6)  # at 0.3 + pi / 2
+    if parcel.round:
+        np.testing.assert_allclose(parcel.told(here, turned(0.9, 0.0)), standing, atol=1e-6)
+
+
+def test_a_can_that_fell_is_carried_lying(can: PickPlaceWorld) -> None:
+    can.reset(1)
+    tipped = [np.cos(np.pi / 4), np.sin(np.pi / 4), 0, 0]
+    can.put("Can_joint0", [0.1, -0.25, FLOOR + 0.026], tipped)
+    can.refresh()
+    goal = can.achieved().copy()
+    assert not can.parcel.standing(goal)
+    goal[:2] = (0.02, -0.33)
+
+    def there(_: int, seen: object) -> bool:
+        return can.reached(can.achieved(), goal)
+
+    assert rollout([can], expert_for(can), [Goal(goal)], seeds=[0], max_steps=250, stop=there)[0].ended == "stopped"
+
+
+def test_a_can_left_lying_in_a_compartment_ends_the_episode(can: PickPlaceWorld) -> None:
+    can.reset(1)
+    can.put("Can_joint0", [*_CENTRES[0], FLOOR + 0.026], [np.cos(np.pi / 4), np.sin(np.pi / 4), 0, 0])
+    can.refresh()
+    for _ in range(20):
+        can.step(np.array([0, 0, 0.5, 0, 0, 0, -1.0]))
+    assert "too low" in str(can.failure())
