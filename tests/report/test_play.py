@@ -54,7 +54,7 @@ def stored(path: Path, *episodes: Episode) -> NativeStore:
 
 
 def test_an_attempt_is_a_skill_from_its_first_step_to_its_last(tmp_path: Path) -> None:
-    """Marks do not part an attempt; giving up does, and doing it again. What the end cuts is neither reached nor failed."""
+    """Marks do not part an attempt; giving up and doing it again do. What the end cuts has not failed."""
     said = ["lift", "lift:mistake", "lift", "place:planned", "place:planned:gave_up", "place", "place:again"]
     found = attempts(stored(tmp_path / "play", episode(said)))
     assert found == [
