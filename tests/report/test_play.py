@@ -67,6 +67,7 @@ def test_an_attempt_is_a_skill_from_its_first_step_to_its_last(tmp_path: Path) -
     assert told["attempts"] == {"count": 4, "reached": 2, "failed": 1, "cut": 1}
     assert told["mishaps"]["mistake"] == {"count": 1, "reached": 1, "failed": 0, "cut": 0}
     assert told["skills"]["place"]["marks"]["planned"] == 1
+    assert told["store"]["skills"] == {"lift": 1, "place": 1}, "`playlearn info` names skills, not marks"
     assert told["skills"]["place"]["seconds"]["high"] == pytest.approx(0.2), "two steps at 10 Hz"
     assert told["steps"] == pytest.approx({"mistake": 1 / 7, "planned": 2 / 7})
 

@@ -13,6 +13,7 @@ import pytest
 import yaml
 from PIL import Image
 
+from playlearn import cli
 from playlearn.errors import RenderError, UsageError
 from playlearn.report.play import Attempt, figures
 from playlearn.report.store_page import HEIGHT, WIDTH, heat_map, outline
@@ -181,3 +182,14 @@ def test_an_outline_goes_up_to_the_count_and_back_to_the_ground() -> None:
     half, whole = f"{HEIGHT / 2:.1f}", "0.0"
     middle, end, ground = f"{WIDTH / 2:.1f}", f"{WIDTH:.1f}", f"{HEIGHT:.1f}"
     assert outline([1, 2]) == (f"0.0,{ground} 0.0,{half} {middle},{half} {middle},{whole} {end},{whole} {end},{ground}")
+
+
+def test_the_command_writes_every_report_that_is_asked_for(
+    store: NativeStore, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page, numbers = tmp_path / "new" / "play.html", tmp_path / "play.json"
+    assert cli.main(["info", str(store.path), "--report", str(page), "--report", str(numbers)]) == 0
+    assert page.exists()
+    assert json.loads(numbers.read_text())["store"]["episodes"] == 3
+    assert cli.main(["info", str(store.path), "--report", str(tmp_path / "play.pdf")]) == 2
+    assert "*.html" in capsys.readouterr().err

@@ -103,6 +103,8 @@ def test_the_task_is_the_episodes_own_then_the_skill_then_play() -> None:
     assert {frame["task"] for frame in frames(named)} == {"open the drawer"}
     played = make_episode(rng, 5)
     assert [frame["task"] for frame in frames(played)] == [SKILLS[skill] for skill in played.skill]
+    object.__setattr__(played.meta, "skills", tuple(f"{skill}:planned:slip" for skill in SKILLS))
+    assert [frame["task"] for frame in frames(played)] == [SKILLS[skill] for skill in played.skill]
     object.__setattr__(played.meta, "skills", ())
     assert {frame["task"] for frame in frames(played)} == {PLAY}
 
