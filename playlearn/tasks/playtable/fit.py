@@ -1,4 +1,4 @@
-"""Where the fingers of a gripper fit: beside which walls, edges and blocks they can be let down."""
+"""Where a gripper fits: beside which walls, posts and blocks its fingers and its palm can be let down."""
 
 import math
 from collections.abc import Sequence
@@ -7,44 +7,51 @@ import numpy as np
 
 from playlearn.episode import Array
 from playlearn.tasks.playtable import scene
-from playlearn.tasks.playtable.layout import BLOCK_NAMES, block, direction, slider_y, upright
+from playlearn.tasks.playtable.layout import BLOCK_NAMES, block, direction, slider_y, tray_y, upright
 
 ACROSS, ALONG = math.pi / 2, 0.0  # how the finger axis stands to a block's long axis
-FINGER = (0.053, 0.0145, 0.0105)  # of an open finger: its centre from the grip site, half its thickness and its width
-Place = Sequence[float] | Array  # (3,) m
+FINGER_OUT = 0.053  # metres from the grip site to the centre of an open finger
+FINGER = (0.0145, 0.0105)  # half its thickness (along the finger axis) and half its width
+PALM = (0.104, 0.032)
+FINGER_LOW, PALM_LOW = -0.009, 0.029  # metres from the grip site up to where they begin
 Box = tuple[float, float, float, float, float]  # x, y, yaw, half its length, half its width
+Obstacle = tuple[Box, float]  # and the z of its top
+Place = Sequence[float] | Array  # (3,) m
 
 
-def fits(achieved: Array, index: int, place: Place, finger_yaw: float) -> bool:
-    """Whether open fingers around block `index`, were it at `place`, touch nothing else."""
-    walls = obstacles(achieved, index, place)
-    return not any(_overlap(finger, wall) for finger in fingers(place, finger_yaw) for wall in walls)
+def clearance(around: Sequence[Obstacle], grip: Place, finger_yaw: float) -> float:
+    """Metres between an open gripper at `grip` and the nearest of the obstacles that are high enough to be met."""
+    x, y, z = float(grip[0]), float(grip[1]), float(grip[2])
+    dx, dy = FINGER_OUT * math.cos(finger_yaw), FINGER_OUT * math.sin(finger_yaw)
+    fingers = (x + dx, y + dy, finger_yaw, *FINGER), (x - dx, y - dy, finger_yaw, *FINGER)
+    palm = (x, y, finger_yaw, *PALM)
+    least = math.inf
+    for box, top in around:
+        if math.hypot(box[0] - x, box[1] - y) - box[3] - box[4] > 0.11:
+            continue
+        if top > z + FINGER_LOW:
+            least = min(least, apart(fingers[0], box), apart(fingers[1], box))
+        if top > z + PALM_LOW:
+            least = min(least, apart(palm, box))
+    return least
 
 
-def fingers(place: Place, yaw: float) -> tuple[Box, Box]:
-    """The two open fingers from above."""
-    out, thick, wide = FINGER
-    dx, dy = out * math.cos(yaw), out * math.sin(yaw)
-    x, y = float(place[0]), float(place[1])
-    return (x + dx, y + dy, yaw, thick, wide), (x - dx, y - dy, yaw, thick, wide)
-
-
-def obstacles(achieved: Array, index: int, place: Place) -> list[Box]:
-    """All that stands in the way of fingers that grip block `index` at `place` (3,) m."""
-    z = place[2]
-    walls = [
-        footprint(achieved, i) for i in range(len(BLOCK_NAMES)) if i != index and abs(block(achieved, i)[2] - z) < 0.045
+def obstacles(achieved: Array, index: int) -> list[Obstacle]:
+    """All that a hand which grips block `index` could touch."""
+    bay_x, bay_y = scene.BAY_CENTRE
+    slider, tray = slider_y(achieved), tray_y(achieved)
+    r = scene.POST_RADIUS
+    front = tray + scene.DRAWER_POST_XY[1] - scene.TRAY_Y
+    return [
+        *((footprint(achieved, i), top(achieved, i)) for i in range(len(BLOCK_NAMES)) if i != index),
+        ((0.0, scene.EDGE_Y - 0.3, 0.0, 0.4, 0.3), scene.TABLE_Z - 0.002),
+        ((scene.TRAY_X, front, 0.0, r, r), scene.DRAWER_POST_TOP),
+        ((scene.RAIL_X, bay_y, 0.0, 0.005, scene.BAY_HALF[1]), scene.SLIDER_ROOF),
+        ((bay_x, slider, 0.0, *scene.SLIDER_HALF), scene.SLIDER_ROOF + 0.008),
+        ((bay_x, slider, 0.0, r, r), scene.SLIDER_POST_TOP),
+        ((*scene.BUTTON_XY, 0.0, 0.036, 0.036), scene.BUTTON_TOP),
+        ((*scene.LEVER_XY, 0.0, 0.015, 0.045), scene.LEVER_PIVOT + scene.LEVER_LENGTH),
     ]
-    if z < scene.TABLE_Z + 0.005 and place[1] > scene.EDGE_Y - 0.05:
-        walls.append((0.0, scene.EDGE_Y - 0.2, 0.0, 0.3, 0.2))
-    if z < scene.SLIDER_ROOF + 0.01 and place[0] < scene.BAY_CENTRE[0] + 0.12:
-        x, y = scene.BAY_CENTRE
-        walls.append((scene.RAIL_X, y, 0.0, 0.005, scene.BAY_HALF[1]))
-        walls.append((x, slider_y(achieved), 0.0, *scene.SLIDER_HALF))
-    if place[1] < -0.18:
-        walls.append((*scene.BUTTON_XY, 0.0, 0.036, 0.036))
-        walls.append((*scene.LEVER_XY, 0.0, 0.015, 0.045))
-    return walls
 
 
 def footprint(achieved: Array, index: int) -> Box:
@@ -54,25 +61,26 @@ def footprint(achieved: Array, index: int) -> Box:
     return float(pose[0]), float(pose[1]), direction(pose), width if upright(pose) else length, width
 
 
+def top(achieved: Array, index: int) -> float:
+    """The z of a block's top."""
+    pose = block(achieved, index)
+    return float(pose[2]) + scene.BLOCK_HALF[0 if upright(pose) else 2]
+
+
 def apart(one: Box, other: Box) -> float:
     """Metres by which two boxes are apart along the best separating side; negative where they overlap."""
+    dx, dy = other[0] - one[0], other[1] - one[1]
+    c, s = math.cos(one[2] - other[2]), math.sin(one[2] - other[2])
+    c, s = abs(c), abs(s)
     best = -math.inf
-    between = (other[0] - one[0], other[1] - one[1])
-    for yaw in (one[2], other[2]):
-        for ux, uy in ((math.cos(yaw), math.sin(yaw)), (-math.sin(yaw), math.cos(yaw))):
-            gap = abs(between[0] * ux + between[1] * uy) - _extent(one, ux, uy) - _extent(other, ux, uy)
-            best = max(best, gap)
+    for (_, _, yaw, length, width), (_, _, _, far, near) in ((one, other), (other, one)):
+        ux, uy = math.cos(yaw), math.sin(yaw)
+        best = max(
+            best,
+            abs(dx * ux + dy * uy) - length - far * c - near * s,
+            abs(dy * ux - dx * uy) - width - far * s - near * c,
+        )
     return best
-
-
-def _overlap(one: Box, other: Box) -> bool:
-    return apart(one, other) < 0.0
-
-
-def _extent(box: Box, ux: float, uy: float) -> float:
-    _, _, yaw, length, width = box
-    c, s = math.cos(yaw), math.sin(yaw)
-    return length * abs(c * ux + s * uy) + width * abs(c * uy - s * ux)
 
 
 def spots() -> Array:

@@ -44,7 +44,7 @@ def between(yaw: float, other: float) -> float:
     return (yaw - other + math.pi / 2) % math.pi - math.pi / 2
 
 
-def distance(pose: Array, other: Array) -> float:
+def distance(pose: Array, other: Array | tuple[float, float]) -> float:
     """Metres between two places in the plane."""
     return math.hypot(pose[0] - other[0], pose[1] - other[1])
 

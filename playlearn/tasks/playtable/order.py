@@ -16,14 +16,13 @@ import numpy as np
 
 from playlearn.episode import Array
 from playlearn.tasks.playtable import scene
-from playlearn.tasks.playtable.fit import ACROSS, ALONG, apart, fits, footprint, spots
+from playlearn.tasks.playtable.fit import ACROSS, apart, footprint, spots, top
 from playlearn.tasks.playtable.layout import (
     BLOCK_NAMES,
     BULB,
     COVERING,
     DRAWER,
     LED,
-    LEVER,
     LYING_Z,
     SLIDER,
     between,
@@ -39,12 +38,14 @@ from playlearn.tasks.playtable.layout import (
     supporter,
     upright,
 )
-from playlearn.tasks.playtable.skills import HIGH, POSTS, Block, Flip, Press, Slide, Tip, gripped
+from playlearn.tasks.playtable.skills import HIGH, POSTS, Block, Flip, Press, Slide, Tip, Withdraw, gripped, ways
 from playlearn.teleop.hand import Hand
 from playlearn.teleop.skills import Carry, Reach, Skill
 
 WIDE = 0.15  # metres of drawer opening at which all that lies in it can be got at
 _ALL = range(len(BLOCK_NAMES))
+_SWITCHES = {BULB: scene.LEVER_XY, LED: scene.BUTTON_XY}
+Choice = tuple[int, Skill]  # the block (or, by its index in `achieved`, the fixture) and what to do with it
 _SPOTS = spots()
 _HOLLOW = 0.01  # metres above its place at which a block is let go in the drawer
 
@@ -61,7 +62,8 @@ def next_skill(hand: Hand, achieved: Array, goal: Array) -> Skill:
 def carry(hand: Hand, achieved: Array, index: int, pose: Array, name: str | None = None, lasting: bool = True) -> Carry:
     """Carry block `index` to where `pose` (5,) shows it."""
     x, y, z = map(float, pose[:3])
-    thing = Block(index, (x, y, z, direction(pose)))
+    over = max(top(achieved, j) for j in others(index)) + 0.035
+    thing = Block(index, (x, y, z, direction(pose)), over)
     drop = _HOLLOW if z < scene.TABLE_Z and y > scene.EDGE_Y else 0.002
     slack = 0.008 if thing.way(hand, achieved) == ACROSS else 0.003  # along, there are 5 mm on either side
     return Carry(name or f"carry_{BLOCK_NAMES[index]}", thing, (x, y, z), direction(pose), lasting, drop, slack=slack)
@@ -74,19 +76,43 @@ class _Order:
     goal: Array
 
     def next(self) -> Skill:
+        subject, skill = self.choose()
+        return self.withdrawal(subject) or skill
+
+    def choose(self) -> Choice:
         wrong = [i for i in _ALL if not self.there(i)]
         resting = [i for i in wrong if rests(self.goal, i)]
         aloft = [i for i in _ALL if not rests(self.goal, i)]
         held = in_hand(self.hand, self.achieved)
         fixture = None if resting else self.fixture()
         if held is not None:
-            return self.with_held(held, held in aloft, bool(set(resting) - {held}) or fixture is not None)
-        return (
-            self.with_blocks(resting)
-            or fixture
-            or next((self.carry(i, lasting=False) for i in aloft), None)
-            or Reach("rest", (float(self.hand.position[0]), float(self.hand.position[1]), HIGH))
-        )
+            return held, self.with_held(held, held in aloft, bool(set(resting) - {held}) or fixture is not None)
+        if resting:
+            return self.with_blocks(resting)
+        if fixture is not None:
+            return fixture
+        if aloft:
+            return aloft[0], self.carry(aloft[0], lasting=False)
+        x, y, _ = map(float, self.hand.position)
+        return -1, Reach("rest", (x, y, HIGH))
+
+    def withdrawal(self, subject: int) -> Skill | None:
+        """Up and away first, where the fingers are about something else than what comes next, or about it askew."""
+        hand = self.hand
+        for i in _ALL:
+            off = hand.position - block(self.achieved, i)[:3]
+            about = math.hypot(off[0], off[1]) < 0.03 and -0.03 < off[2] < 0.035
+            if about and gripped(hand, self.achieved, i) is None:
+                x, y, z, *_ = map(float, self.to(i))
+                way = Block(i, (x, y, z, direction(self.to(i)))).way(hand, self.achieved)
+                askew = hand.yaw_error(direction(block(self.achieved, i)) + way) > 0.5
+                if i != subject or (askew and not upright(block(self.achieved, i))):
+                    return Withdraw("withdraw")
+        for index, post in POSTS.items():
+            off = hand.position - post.at(float(self.achieved[index]))
+            if index != subject and math.hypot(off[0], off[1]) < 0.03 and -0.04 < off[2] < 0.03:
+                return Withdraw("withdraw")
+        return None
 
     # Where things are, and where they are to be ---------------------------------------------------------
 
@@ -95,11 +121,9 @@ class _Order:
         pose = block(self.goal, index).copy()
         if in_tray(self.goal, index):
             pose[1] += self.achieved[DRAWER] - self.goal[DRAWER]
-            yaw = direction(pose)
-            for _ in range(3):
-                if any(fits(self.achieved, index, pose[:3], yaw + way) for way in (ACROSS, ALONG)):
-                    break
-                pose[1] += 0.01
+            x, y, z, yaw = (*map(float, pose[:3]), direction(pose))
+            out = (y, y + 0.01, y + 0.02, y + 0.03)
+            pose[1] = next((y for y in out if ways(self.achieved, index, (x, y, z, yaw))), y)
         return pose
 
     def there(self, index: int) -> bool:
@@ -116,60 +140,78 @@ class _Order:
             return self.aside(index)
         way = gripped(self.hand, self.achieved, index)
         to = self.to(index)
-        fit = [w for w in (ACROSS, ALONG) if fits(self.achieved, index, to[:3], direction(to) + w)]
+        x, y, z = map(float, to[:3])
+        fit = ways(self.achieved, index, (x, y, z, direction(to)))
         if fit and way not in fit and not aloft:
             return self.aside(index)  # to take it the other way round
         return self.carry(index, lasting=not aloft)
 
-    def with_blocks(self, wrong: list[int]) -> Skill | None:
-        if not wrong:
-            return None
-        wrong = sorted(wrong, key=lambda i: self.goal[5 * i + 2])
+    def with_blocks(self, wrong: list[int]) -> Choice:
+        """The nearest thing to do of those that can be done; where all wait for each other, something aside."""
         ready = [i for i in wrong if rider(self.achieved, i) is None and self.can_land(i, now=False)]
-        for index in ready:
-            return self.fetch(index, self.carry(index), landing=True)
-        first = wrong[0]
-        blocker = rider(self.achieved, first)
-        if blocker is None:
-            blocker = next((j for j in self.occupants(first)), first)
-        above = rider(self.achieved, blocker)
-        blocker = blocker if above is None else above
-        return self.fetch(blocker, self.aside(blocker), landing=False)
+        if ready:
+            return self.nearest([self.fetch(i, landing=True) or (i, self.carry(i)) for i in ready])
+        blockers = {j for i in wrong for j in (rider(self.achieved, i), *self.occupants(i), *self.riders_below(i))}
+        tops = {self.topmost(j) for j in blockers if j is not None} or set(wrong)
+        return self.nearest([self.fetch(i, landing=False) or (i, self.aside(i)) for i in sorted(tops)])
 
-    def fetch(self, index: int, then: Skill, landing: bool) -> Skill:
-        """`then`, once the drawer is open and the slider away where that is needed."""
+    def nearest(self, choices: list[Choice]) -> Choice:
+        """On the way to what is nearest it stays nearest: so it is not thought better of."""
+        return min(choices, key=lambda choice: self.away(self.place(choice[0])))
+
+    def place(self, subject: int) -> Array | tuple[float, float]:
+        if subject in POSTS:
+            return POSTS[subject].at(float(self.achieved[subject]))
+        return _SWITCHES[subject] if subject in _SWITCHES else block(self.achieved, subject)
+
+    def away(self, place: Array | tuple[float, float]) -> float:
+        return distance(self.hand.position, place)
+
+    def topmost(self, index: int) -> int:
+        above = rider(self.achieved, index)
+        return index if above is None else self.topmost(above)
+
+    def riders_below(self, index: int) -> list[int]:
+        """What lies on the block that this one is to lie on."""
+        under = supporter(self.goal, index)
+        above = None if under is None else rider(self.achieved, under)
+        return [] if above in (None, index) else [above]
+
+    def fetch(self, index: int, landing: bool) -> Choice | None:
+        """What has to be done before a block can be taken, and (landing) put where it belongs."""
         achieved, to = self.achieved, block(self.goal, index)
         if in_tray(achieved, index) or (landing and in_tray(self.goal, index)):
             opening = Slide("drawer", POSTS[DRAWER], scene.DRAWER_TRAVEL - 0.002)
             if achieved[DRAWER] < WIDE or opening.underway(self.hand, achieved):
-                return opening
+                return DRAWER, opening
         for pose, near in ((block(achieved, index), covered(achieved, index)), (to, landing and self.covers(to))):
             away = 0.002 if pose[1] > scene.BAY_CENTRE[1] else scene.SLIDER_TRAVEL - 0.002
             uncovering = Slide("slider", POSTS[SLIDER], away)
             if near or (self.in_bay_region(pose) and uncovering.underway(self.hand, achieved)):
-                return uncovering
-        if upright(block(achieved, index)):
-            return Tip(f"tip_{BLOCK_NAMES[index]}", index)
-        return then
+                return SLIDER, uncovering
+        return (index, Tip(f"tip_{BLOCK_NAMES[index]}", index)) if upright(block(achieved, index)) else None
 
-    def fixture(self) -> Skill | None:
+    def fixture(self) -> Choice | None:
+        """The nearest of those that are not as they should be."""
         achieved, goal = self.achieved, self.goal
-        if abs(goal[SLIDER] - achieved[SLIDER]) > 0.02:
-            return Slide("slider", POSTS[SLIDER], float(goal[SLIDER]))
-        if abs(goal[DRAWER] - achieved[DRAWER]) > 0.02:
-            return Slide("drawer", POSTS[DRAWER], float(goal[DRAWER]))
-        if (goal[BULB] > 0.5) != (achieved[BULB] > 0.5) or abs(goal[LEVER] - achieved[LEVER]) > 0.3:
-            return Flip("flip", bool(goal[BULB] > 0.5))
+        left: list[Choice] = []
+        for index, name in ((SLIDER, "slider"), (DRAWER, "drawer")):
+            slide = Slide(name, POSTS[index], float(goal[index]))
+            if abs(goal[index] - achieved[index]) > 0.02 or slide.underway(self.hand, achieved):
+                left.append((index, slide))
+        if (goal[BULB] > 0.5) != (achieved[BULB] > 0.5):
+            left.append((BULB, Flip("flip", bool(goal[BULB] > 0.5))))
         if (goal[LED] > 0.5) != (achieved[LED] > 0.5):
-            return Press("press", bool(goal[LED] > 0.5))
-        return None
+            left.append((LED, Press("press", bool(goal[LED] > 0.5))))
+        return self.nearest(left) if left else None
 
     def aside(self, index: int) -> Skill:
         """To the spot on the deck that is farthest from where others are or are to be."""
         away = [block(self.achieved, i)[:2] for i in others(index)] + [block(self.goal, i)[:2] for i in others(index)]
         far = np.minimum(np.hypot(*(_SPOTS[:, None] - np.array(away)[None]).transpose(2, 0, 1)).min(axis=1), 0.12)
-        x, y = _SPOTS[int(np.argmax(far))]
         yaw = float(np.clip(direction(block(self.achieved, index)), -1.2, 1.2))
+        best = [tuple(_SPOTS[k]) for k in np.argsort(-far, kind="stable")[:6]]  # where it can be taken either way
+        x, y = next((spot for spot in best if len(ways(self.achieved, index, (*spot, LYING_Z, yaw))) == 2), best[0])
         pose = np.array([x, y, LYING_Z, math.cos(2 * yaw), math.sin(2 * yaw)])
         return carry(self.hand, self.achieved, index, pose, f"park_{BLOCK_NAMES[index]}")
 

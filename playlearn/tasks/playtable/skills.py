@@ -8,7 +8,7 @@ import numpy as np
 
 from playlearn.episode import Array
 from playlearn.tasks.playtable import scene
-from playlearn.tasks.playtable.fit import ACROSS, ALONG, fits
+from playlearn.tasks.playtable.fit import ACROSS, ALONG, clearance, obstacles
 from playlearn.tasks.playtable.layout import (
     BULB,
     DRAWER,
@@ -17,7 +17,6 @@ from playlearn.tasks.playtable.layout import (
     SLIDER,
     block,
     direction,
-    in_bay,
     in_tray,
     others,
     upright,
@@ -32,13 +31,15 @@ _WIDTHS = {ACROSS: (0.028, 0.050), ALONG: (0.060, 0.0745)}  # metres between the
 
 @dataclass(frozen=True)
 class Block:
-    """A `Thing`: block `index`, gripped across its long side where fingers fit there, else along it.
+    """A `Thing`: block `index`, gripped across its long side where the gripper fits there, else along it.
 
-    to: where it is going ((3,) m and yaw), if that matters to how it is gripped.
+    to: where it is going ((3,) m and yaw), if that matters to how it is gripped. over: z in m, above which it is
+    carried.
     """
 
     index: int
     to: tuple[float, float, float, float] | None = None
+    over: float = 0.0
     symmetry: float = np.pi
 
     def position(self, achieved: Array) -> Array:
@@ -49,9 +50,8 @@ class Block:
 
     def grasp(self, hand: Hand, achieved: Array) -> tuple[Array, float]:
         pose = block(achieved, self.index)
-        low = in_tray(achieved, self.index) or in_bay(achieved, self.index)
-        lift = 0.013 if low or upright(pose) else 0.0  # the palm keeps clear of the deck, the rail and the slider
-        return self.position(achieved) + up(lift), direction(pose) + self.way(hand, achieved)
+        grip = self.position(achieved) + up(lift(pose[1], pose[2], upright(pose)))
+        return grip, direction(pose) + self.way(hand, achieved)
 
     def way(self, hand: Hand, achieved: Array) -> float:
         """Across or along: as it is gripped already, else as there is room here, and there."""
@@ -61,16 +61,14 @@ class Block:
         pose = block(achieved, self.index)
         if upright(pose):
             return ACROSS
-        away = hand.position - pose[:3]
-        if math.hypot(away[0], away[1]) < 0.015 and away[2] < 0.035:  # on its way down it does not think again
-            return ACROSS if hand.yaw_error(direction(pose) + ACROSS) < np.pi / 4 else ALONG
-        here = [way for way in (ACROSS, ALONG) if fits(achieved, self.index, pose[:3], direction(pose) + way)]
-        both = [way for way in here if self.fits_there(achieved, way)]
-        return (both or here or [ACROSS])[0]
-
-    def fits_there(self, achieved: Array, way: float) -> bool:
-        """Whether it can be let go where it is going, gripped that way."""
-        return self.to is None or fits(achieved, self.index, self.to[:3], self.to[3] + way)
+        x, y, z = map(float, pose[:3])
+        here = ways(achieved, self.index, (x, y, z, direction(pose)))
+        there = here if self.to is None else ways(achieved, self.index, self.to)
+        good = [way for way in here if way in there] or [*here] or [ACROSS]
+        if len(good) > 1 and hand.yaw_error(direction(pose) + good[1]) < 0.3:  # it is turned that way already
+            off = hand.position - pose[:3]
+            return good[1] if math.hypot(off[0], off[1]) < 0.015 and off[2] < 0.05 else good[0]
+        return good[0]
 
     def held(self, hand: Hand, achieved: Array) -> bool:
         return gripped(hand, achieved, self.index) is not None
@@ -78,9 +76,20 @@ class Block:
     def clearance(self, place: Array, height: float) -> float:
         """The posts stand in the way of low flight, and blocks on blocks."""
         x, y, z = map(float, place)
-        if x < -0.08:
-            return max(height, scene.TABLE_Z + 0.155 - z)
-        return max(height, scene.TABLE_Z + 0.11 - z) if y > 0.12 or y < -0.2 else height
+        fixtures = 0.155 if x < -0.08 else 0.11 if y > 0.12 or y < -0.2 else 0.0
+        return max(height, scene.TABLE_Z + fixtures - z, self.over - z)
+
+
+def lift(y: float, z: float, standing: bool = False) -> float:
+    """Metres above its centre at which a block there is gripped: high, where the palm would meet the deck."""
+    return 0.013 if standing or (z < scene.TABLE_Z and y > scene.EDGE_Y - 0.05) else 0.010
+
+
+def ways(achieved: Array, index: int, pose: tuple[float, float, float, float]) -> tuple[float, ...]:
+    """How block `index` could be taken, or let go, were it at `pose` ((3,) m and yaw)."""
+    x, y, z, yaw = pose
+    around, grip = obstacles(achieved, index), (x, y, z + lift(y, z))
+    return tuple(way for way in (ACROSS, ALONG) if clearance(around, grip, yaw + way) > 0.0)
 
 
 def gripped(hand: Hand, achieved: Array, index: int) -> float | None:
@@ -132,11 +141,11 @@ class Slide:
         if held and abs(left) > 0.006:
             return hand.move(post + np.array([0.0, left + np.sign(left) * 0.01, 0.0]), REST_YAW, CLOSE, style.speed)
         if held or abs(left) <= 0.02:
-            away = hand.position + up(0.08 if hand.opening > 0.036 else 0.0)
+            away = hand.position + up(0.08 if hand.opening > 0.032 else 0.0)
             return hand.move(away, REST_YAW, OPEN, style.speed)
         turn = hand.yaw_error(REST_YAW)
         rise = 4.0 * max(0.0, off - 0.008) + 0.15 * max(0.0, turn - 0.12)
-        target = post + up(min(max(style.approach, scene.TABLE_Z + 0.11 - post[2]), rise))
+        target = post + up(min(max(style.approach, scene.TABLE_Z + 0.13 - post[2]), rise))
         if hand.position[2] < target[2] - 0.02:
             target[:2] = hand.position[:2] + 0.2 * (target - hand.position)[:2]
         down = level and off < 0.014 and turn < 0.22
@@ -145,14 +154,14 @@ class Slide:
     def underway(self, hand: Hand, achieved: Array) -> bool:
         """Whether it has begun and is not there yet."""
         now = float(achieved[self.post.index])
-        return self._grip(hand, self.post.at(now))[2] and abs(self.value - now) > 0.006
+        return self._grip(hand, self.post.at(now))[2] and abs(self.value - now) > 0.010
 
     @staticmethod
     def _grip(hand: Hand, post: Array) -> tuple[float, bool, bool]:
         """How far in metres the hand is from the post, whether it is at its height, and whether it has hold of it."""
         off = float(np.hypot(*(hand.position - post)[:2]))
         level = bool(abs(hand.position[2] - post[2]) < 0.015)
-        return off, level, 0.010 < hand.opening < 0.034 and off < 0.02 and level
+        return off, level, 0.018 < hand.opening < 0.028 and off < 0.02 and level
 
     def done(self, hand: Hand, achieved: Array) -> bool:
         near = abs(achieved[self.post.index] - self.value) <= 0.02
@@ -167,6 +176,25 @@ class Slide:
             waypoint(end, REST_YAW, OPEN, wait=3),
             waypoint(end + up(0.08), REST_YAW, OPEN),
         )
+
+
+@dataclass(frozen=True)
+class Withdraw:
+    """Open the fingers and take them up and away from what is between them."""
+
+    name: str
+    lasting: bool = True
+
+    def act(self, hand: Hand, achieved: Array, style: Style) -> Array:
+        rise = 0.08 if hand.opening > 0.032 else 0.0
+        return hand.move(hand.position + up(rise), hand.yaw, OPEN, style.speed)
+
+    def done(self, hand: Hand, achieved: Array) -> bool:
+        return bool(hand.position[2] > HIGH)
+
+    def plan(self, hand: Hand, achieved: Array, style: Style) -> Sequence[Waypoint]:
+        here = waypoint(hand.position, hand.yaw, OPEN, wait=4)
+        return here, waypoint(hand.position + up(0.08), hand.yaw, OPEN)
 
 
 @dataclass(frozen=True)

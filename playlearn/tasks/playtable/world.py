@@ -46,7 +46,7 @@ from playlearn.tasks.playtable.named import playtable_tasks
 POSITION_TOLERANCE = 0.04  # metres, in the plane
 HEIGHT_TOLERANCE = 0.02
 DIRECTION_TOLERANCE = 2 * np.sin(np.deg2rad(20.0))  # the chord of 2 * yaw that is 20 degrees of yaw
-FIXTURE_TOLERANCES = {DRAWER: 0.03, SLIDER: 0.03, LEVER: 0.3, LED: 0.5, BULB: 0.5}  # metres; rad; lit or not
+FIXTURE_TOLERANCES = {DRAWER: 0.03, SLIDER: 0.03, LED: 0.5, BULB: 0.5}  # metres, lit or not; the bulb tells the lever
 _REACH = ((-0.25, -0.40), (0.19, 0.42))  # where a block can be fetched from, (x, y) in metres
 _PRESSED, _RELEASED = 0.007, 0.004  # metres of button travel at which the lamp toggles and re-arms
 _UNFIT = ("Baxter", "PandaDexLH", "PandaDexRH")  # two arms; hands that do not take one command
