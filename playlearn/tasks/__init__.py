@@ -5,8 +5,9 @@ To import one is to register it: its config under `environment: {type: ...}`, an
 
 from playlearn.tasks.door import DoorConfig
 from playlearn.tasks.lift import LiftConfig
+from playlearn.tasks.nut_assembly import NutAssemblyConfig
 from playlearn.tasks.pick_place import PickPlaceConfig
 from playlearn.tasks.playtable import PlayTableConfig
 from playlearn.tasks.stack import StackConfig
 
-__all__ = ["DoorConfig", "LiftConfig", "PickPlaceConfig", "PlayTableConfig", "StackConfig"]
+__all__ = ["DoorConfig", "LiftConfig", "NutAssemblyConfig", "PickPlaceConfig", "PlayTableConfig", "StackConfig"]
