@@ -35,12 +35,13 @@ class View:
 
 @dataclass(frozen=True)
 class TabletopConfig(EnvironmentConfig):
-    """robot: any single-arm robosuite robot. cameras: name -> size of the images.
+    """robot: any single-arm robosuite robot. gripper: one of robosuite's; "default" is the robot's own.
 
-    faces: visual meshes are simplified to about so many triangles in all.
+    cameras: name -> size of the images. faces: visual meshes are simplified to about so many triangles in all.
     """
 
     robot: str = "Panda"
+    gripper: str = "default"
     cameras: dict[str, CameraConfig] = field(
         default_factory=lambda: {"front": CameraConfig(84, 84), "wrist": CameraConfig(84, 84)}
     )
@@ -83,6 +84,7 @@ class TabletopWorld(RobosuiteWorld):
                 self.robosuite = robosuite.make(
                     name,
                     robots=config.robot,
+                    gripper_types=config.gripper,
                     hard_reset=False,  # or it forgets what is added here
                     has_renderer=False,
                     has_offscreen_renderer=False,
