@@ -1,0 +1,80 @@
+"""The play in datasets/sample: whole, small, of the present scene, and what its card says."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from playlearn.collect import CollectConfig, episode_seed
+from playlearn.config import from_dict, load_config
+from playlearn.data import DataConfig
+from playlearn.relabel import SettlingConfig, Table
+from playlearn.report.store_report import write_report
+from playlearn.sim import Environment, EnvironmentConfig
+from playlearn.store import NativeStore
+
+ROOT = Path(__file__).resolve().parents[1]
+SAMPLE = ROOT / "datasets" / "sample"
+CONFIG = ROOT / "configs" / "collect" / "sample.yaml"
+
+
+@pytest.fixture(scope="module")
+def store() -> NativeStore:
+    return NativeStore.open(SAMPLE)
+
+
+def test_it_is_whole_and_under_8_megabytes(store: NativeStore) -> None:
+    assert store.verify() == []
+    assert sum(file.stat().st_size for file in SAMPLE.rglob("*") if file.is_file()) < 8e6
+    assert store.cameras() == {"front": (48, 64), "wrist": (32, 32)}
+
+
+def test_it_is_what_its_config_makes(store: NativeStore) -> None:
+    """After a change of configs/collect/sample.yaml or of a default of play: `make sample`."""
+    config = load_config(CollectConfig, CONFIG)
+    assert load_config(CollectConfig, SAMPLE / "collect.yaml") == config
+    assert [store.meta(i).seed for i in range(len(store))] == [episode_seed(config.seed, i) for i in range(config.episodes)]
+
+
+def test_its_card_is_of_this_store(store: NativeStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    write_report(NativeStore.open(SAMPLE.relative_to(ROOT)), tmp_path / "README.md", unneeded)
+    assert (tmp_path / "README.md").read_text() == (SAMPLE / "README.md").read_text()
+
+
+def test_it_is_of_the_present_scene(store: NativeStore) -> None:
+    """A recorded state, put back, is seen as it was recorded; the first actions lead where they led.
+
+    After a change of the scene: `make sample`. 1e-5: observations are float32, and other processors round elsewhere.
+    """
+    world = from_dict(EnvironmentConfig, dict(store.spec.environment)).build()
+    for i in range(len(store)):
+        played = store.read(i)
+        for t in (0, len(played) // 2, len(played)):
+            world.set_state(np.array(played.sim_state[t]))
+            np.testing.assert_allclose(world.observe().achieved, played.achieved[t], atol=1e-5)
+            np.testing.assert_allclose(world.observe().state, played.state[t], atol=1e-5)
+        world.set_state(np.array(played.sim_state[0]))
+        for action in played.action[:10]:
+            world.step(action)
+        np.testing.assert_allclose(world.observe().state, played.state[10], atol=1e-5)
+
+
+def test_it_has_what_play_has(store: NativeStore) -> None:
+    """Changes that came to rest, of several things; plans, mistakes, slips and pauses."""
+    table = Table.of_store(store, store.spec.achieved_names, store.spec.fps, SettlingConfig())
+    assert sum(count > 0 for count in table.change_counts().values()) >= 3
+    said = {mark for i in range(len(store)) for skill in store.meta(i).skills for mark in skill.split(":")[1:]}
+    assert {"planned", "mistake", "slip", "pause"} <= said
+
+
+def test_it_can_be_learned_from(store: NativeStore) -> None:
+    """Batches with the goal images of the next settled moments."""
+    config = DataConfig(cameras=("front", "wrist"), goal_cameras=("front",), heldout_share=0.0)
+    batch = config.build(store, "train", 0).batch(0, np.arange(8))
+    assert batch.goal_images["front"].shape == (8, 48, 64, 3)
+    assert (batch.steps_to_goal >= 1).all()
+
+
+def unneeded() -> Environment:
+    raise AssertionError("a card needs no pictures")
