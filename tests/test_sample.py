@@ -33,7 +33,9 @@ def test_it_is_what_its_config_makes(store: NativeStore) -> None:
     """After a change of configs/collect/sample.yaml or of a default of play: `make sample`."""
     config = load_config(CollectConfig, CONFIG)
     assert load_config(CollectConfig, SAMPLE / "collect.yaml") == config
-    assert [store.meta(i).seed for i in range(len(store))] == [episode_seed(config.seed, i) for i in range(config.episodes)]
+    assert [store.meta(i).seed for i in range(len(store))] == [
+        episode_seed(config.seed, i) for i in range(config.episodes)
+    ]
 
 
 def test_its_card_is_of_this_store(store: NativeStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
