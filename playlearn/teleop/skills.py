@@ -98,7 +98,7 @@ class Carry:
         if self.thing.held(hand, achieved):
             return self._bring(hand, achieved, style)
         if self.lasting and self._there(achieved):
-            return self._leave(hand, style)
+            return self._leave(hand, achieved, style)
         return self._fetch(hand, achieved, style)
 
     def done(self, hand: Hand, achieved: Array) -> bool:
@@ -157,16 +157,19 @@ class Carry:
         above = min(high, 4.0 * max(0.0, off - 0.008) + 0.10 * max(0.0, abs(turning) - 0.15))
         placed = off < 0.014 and abs(turning) < 0.18 and abs(here[2] - goal[2]) < 0.009
         yaw = hand.yaw + turning
-        if self.lasting and placed:
-            return hand.move(hand.position, yaw, OPEN, style.speed)
         wanted = hand.position + goal + up(above) - here
+        if self.lasting and placed:
+            return hand.move(wanted, yaw, OPEN, style.speed)
         if wanted[2] > hand.position[2] + 0.02:
             wanted[:2] = _sidling(hand.position, wanted)
         return hand.move(wanted, yaw, CLOSE, style.speed)
 
-    def _leave(self, hand: Hand, style: Style) -> Array:
-        rise = hand.position + up(0.08 if hand.opening > 0.05 else 0.0)
-        return hand.move(rise, hand.yaw, OPEN, style.speed)
+    def _leave(self, hand: Hand, achieved: Array, style: Style) -> Array:
+        away = hand.position + up(0.08 if hand.opening > 0.05 else 0.0)
+        thing = self.thing.grasp(hand, achieved)[0][:2]
+        if np.hypot(*(thing - hand.position[:2])) < 0.03:  # straight up, whereto the arm may drift
+            away[:2] = thing
+        return hand.move(away, hand.yaw, OPEN, style.speed)
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,8 @@ from playlearn.tasks.playtable.layout import (
     upright,
 )
 from playlearn.tasks.playtable.named import (
+    before_drawer,
+    can_drop,
     can_shelve,
     can_stow,
     placed,
@@ -40,23 +42,25 @@ from playlearn.teleop.skills import Push, Skill
 
 # How often play tries each kind, where it can: more of what is seldom possible.
 _WEIGHTS = {
-    "lift": 0.5,
-    "push": 0.6,
-    "rotate": 0.6,
-    "place": 1.2,
-    "stow": 1.2,
-    "shelve": 1.0,
-    "push_into_drawer": 4.0,
-    "stack": 1.0,
+    "lift": 0.3,
+    "push": 0.5,
+    "rotate": 0.4,
+    "place": 0.6,
+    "approach": 1.2,
+    "stow": 3.0,
+    "shelve": 1.6,
+    "push_into_drawer": 10.0,
+    "stack": 1.5,
     "unstack": 2.0,
-    "unstow": 2.0,
+    "unstow": 2.5,
     "unshelve": 1.5,
     "tip": 4.0,
-    "open_drawer": 2.0,
-    "close_drawer": 1.2,
-    "slider": 1.0,
-    "lamp": 1.2,
-    "lever": 1.2,
+    "open_drawer": 4.0,
+    "close_drawer": 2.0,
+    "slide": 0.4,
+    "slider": 1.4,
+    "lamp": 1.4,
+    "lever": 1.4,
 }
 _ALL = range(len(BLOCK_NAMES))
 Moved = Callable[[Array, int, np.random.Generator], Array]
@@ -74,7 +78,7 @@ class PlayTableDriver:
         """The named tasks, and what nobody names: laying a block elsewhere, out of drawer and bay, on its side."""
         named = [_idea(task) for task in self._tasks.values()]
         own = [idea for index in _ALL for idea in _of_block(index)]
-        return [*named, *own, _fixture("drawer", "open_drawer", DRAWER, scene.DRAWER_TRAVEL)]
+        return [*named, *own, _anywhere("drawer", DRAWER), _anywhere("slider", SLIDER)]
 
     def holding(self, hand: Hand, achieved: Array) -> bool:
         return in_hand(hand, achieved) is not None
@@ -100,12 +104,7 @@ def _idea(task: Task) -> Idea:
     def skill(hand: Hand, achieved: Array, rng: np.random.Generator) -> Skill | None:
         return _skill_for(task, task.command(achieved, rng), hand, achieved)
 
-    return Idea(task.name, task.kind, task.precondition, skill, _weight(task.kind))
-
-
-def _weight(kind: str) -> float:
-    """Of one idea: named tasks that differ only in block or side share their kind's weight."""
-    return _WEIGHTS.get(kind, 1.0)
+    return Idea(task.name, task.kind, task.precondition, skill, _WEIGHTS[task.kind])
 
 
 def _skill_for(task: Task, goal: Array, hand: Hand, achieved: Array) -> Skill | None:
@@ -131,23 +130,27 @@ def _skill_for(task: Task, goal: Array, hand: Hand, achieved: Array) -> Skill | 
 
 
 def _of_block(index: int) -> list[Idea]:
-    """What play does with a block that is no named task."""
+    """What play does with a block that is no named task: laying it elsewhere, before the drawer, on its side."""
     name = BLOCK_NAMES[index]
 
-    def put(kind: str, possible: Callable[[Array], bool]) -> Idea:
-        def skill(hand: Hand, achieved: Array, rng: np.random.Generator) -> Skill:
-            return carry(hand, achieved, index, block(placed(achieved, index, rng), index), f"{kind}_{name}")
+    def put(kind: str, possible: Callable[[Array], bool], to: Moved = placed) -> Idea:
+        def skill(hand: Hand, achieved: Array, rng: np.random.Generator) -> Skill | None:
+            goal = to(achieved, index, rng)
+            if np.array_equal(goal, achieved):
+                return None
+            return carry(hand, achieved, index, block(goal, index), f"{kind}_{name}")
 
-        return Idea(f"{kind}_{name}", kind, possible, skill, _weight(kind))
+        return Idea(f"{kind}_{name}", kind, possible, skill, _WEIGHTS[kind])
 
     def tip(hand: Hand, achieved: Array, rng: np.random.Generator) -> Skill:
         return Tip(f"tip_{name}", index)
 
     return [
         put("place", lambda achieved: lies_free(achieved, index)),
+        put("approach", lambda achieved: can_stow(achieved, index) and not can_drop(achieved, index), before_drawer),
         put("unstow", lambda achieved: _out_of_drawer(achieved, index)),
         put("unshelve", lambda achieved: _out_of_bay(achieved, index)),
-        Idea(f"tip_{name}", "tip", lambda achieved: upright(block(achieved, index)), tip, _weight("tip")),
+        Idea(f"tip_{name}", "tip", lambda achieved: upright(block(achieved, index)), tip, _WEIGHTS["tip"]),
     ]
 
 
@@ -159,10 +162,10 @@ def _out_of_bay(achieved: Array, index: int) -> bool:
     return in_bay(achieved, index) and clear(achieved, index) and not covered(achieved, index)
 
 
-def _fixture(name: str, kind: str, index: int, travel: float) -> Idea:
-    """A fixture slid to anywhere."""
+def _anywhere(name: str, index: int) -> Idea:
+    """A fixture slid to any place."""
 
     def skill(hand: Hand, achieved: Array, rng: np.random.Generator) -> Skill:
-        return Slide(f"slide_{name}", POSTS[index], float(rng.uniform(0, travel)))
+        return Slide(f"slide_{name}", POSTS[index], float(rng.uniform(0, POSTS[index].travel)))
 
-    return Idea(f"slide_{name}", kind, lambda _: True, skill, 0.3)
+    return Idea(f"slide_{name}", "slide", lambda _: True, skill, _WEIGHTS["slide"])

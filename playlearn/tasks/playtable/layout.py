@@ -19,6 +19,7 @@ ACHIEVED_NAMES = (
 )
 LYING_Z = scene.TABLE_Z + scene.BLOCK_HALF[2]
 STOWED_Z = scene.TRAY_FLOOR + scene.BLOCK_HALF[2]
+LANDING_Y = scene.EDGE_Y + 0.02  # where a block comes to lie that is pushed over the edge
 FREE_X, FREE_Y = (-0.03, 0.15), (-0.18, 0.12)  # where blocks are laid, metres
 OPEN, CLOSED = 0.11, 0.03  # metres of drawer opening
 COVERING = 0.085  # metres along the bay between block and slider, below which no finger gets at the block

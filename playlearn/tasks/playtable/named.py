@@ -20,6 +20,7 @@ from playlearn.tasks.playtable.layout import (
     BULB,
     CLOSED,
     DRAWER,
+    LANDING_Y,
     LED,
     LEVER,
     LYING_Z,
@@ -103,7 +104,7 @@ def can_drop(achieved: Array, index: int) -> bool:
     lane = all(
         abs(other[0] - pose[0]) > 0.075 or other[1] < pose[1] - 0.11 for other in rest if other[2] < LYING_Z + 0.1
     )
-    return bool(can_stow(achieved, index) and before and lane and abs(direction(pose)) < 0.35)
+    return bool(can_stow(achieved, index) and before and lane and abs(direction(pose)) < 0.18)
 
 
 def can_stack(achieved: Array, index: int) -> bool:
@@ -133,7 +134,17 @@ def stowed(achieved: Array, index: int, rng: np.random.Generator) -> Array:
 def dropped(achieved: Array, index: int, rng: np.random.Generator) -> Array:
     """Where it comes to lie when it is pushed over the edge."""
     pose = block(achieved, index)
-    return with_block(achieved, index, (pose[0], scene.EDGE_Y + 0.04), STOWED_Z, direction(pose))
+    return with_block(achieved, index, (pose[0], LANDING_Y), STOWED_Z, direction(pose))
+
+
+def before_drawer(achieved: Array, index: int, rng: np.random.Generator) -> Array:
+    """On the deck before the drawer, its long side to the edge, ready to be pushed in; unchanged if it does not fit."""
+    for _ in range(20):
+        xy = (scene.TRAY_X + rng.uniform(-0.04, 0.04), scene.EDGE_Y - rng.uniform(0.07, 0.12))
+        goal = with_block(achieved, index, xy, LYING_Z, rng.uniform(-0.1, 0.1))
+        if all(distance(block(goal, index), block(achieved, other)) > 0.10 for other in others(index)):
+            return goal
+    return achieved.copy()
 
 
 def stacked(achieved: Array, index: int, rng: np.random.Generator) -> Array:
@@ -171,7 +182,7 @@ def _with_some(
 ) -> Callable[[Array, np.random.Generator], Array]:
     def command(achieved: Array, rng: np.random.Generator) -> Array:
         fit = [index for index in _ALL if suits(achieved, index)]
-        return moved(achieved, int(rng.choice(fit)), rng)
+        return moved(achieved, int(rng.choice(fit)), rng) if fit else achieved.copy()
 
     return command
 
@@ -291,8 +302,8 @@ def _near_edge(env: Any, rng: np.random.Generator) -> None:
     env.vacate(in_tray, rng)
     index = int(rng.integers(len(BLOCK_NAMES)))
     for _ in range(DRAWS):
-        xy = (scene.TRAY_X + rng.uniform(-0.04, 0.04), scene.EDGE_Y - rng.uniform(0.07, 0.12))
-        env.lay(index, xy, rng.uniform(-0.3, 0.3))
+        ready = before_drawer(env.achieved(), index, rng)
+        env.lay(index, block(ready, index)[:2], direction(block(ready, index)))
         env.refresh()
         if can_drop(env.achieved(), index):
             return

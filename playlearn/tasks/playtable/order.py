@@ -22,6 +22,7 @@ from playlearn.tasks.playtable.layout import (
     BULB,
     COVERING,
     DRAWER,
+    LANDING_Y,
     LED,
     LYING_Z,
     SLIDER,
@@ -38,7 +39,20 @@ from playlearn.tasks.playtable.layout import (
     supporter,
     upright,
 )
-from playlearn.tasks.playtable.skills import HIGH, POSTS, Block, Flip, Press, Slide, Tip, Withdraw, gripped, ways
+from playlearn.tasks.playtable.named import can_drop
+from playlearn.tasks.playtable.skills import (
+    HIGH,
+    POSTS,
+    Block,
+    Flip,
+    Press,
+    PushIn,
+    Slide,
+    Tip,
+    Withdraw,
+    gripped,
+    ways,
+)
 from playlearn.teleop.hand import Hand
 from playlearn.teleop.skills import Carry, Reach, Skill
 
@@ -62,11 +76,16 @@ def next_skill(hand: Hand, achieved: Array, goal: Array) -> Skill:
 def carry(hand: Hand, achieved: Array, index: int, pose: Array, name: str | None = None, lasting: bool = True) -> Carry:
     """Carry block `index` to where `pose` (5,) shows it."""
     x, y, z = map(float, pose[:3])
-    over = max(top(achieved, j) for j in others(index)) + 0.035
-    thing = Block(index, (x, y, z, direction(pose)), over)
+    thing = thing_towards(achieved, index, pose)
     drop = _HOLLOW if z < scene.TABLE_Z and y > scene.EDGE_Y else 0.002
     slack = 0.008 if thing.way(hand, achieved) == ACROSS else 0.003  # along, there are 5 mm on either side
     return Carry(name or f"carry_{BLOCK_NAMES[index]}", thing, (x, y, z), direction(pose), lasting, drop, slack=slack)
+
+
+def thing_towards(achieved: Array, index: int, pose: Array) -> Block:
+    """Block `index` as something to be carried over the others to where `pose` (5,) shows it."""
+    x, y, z = map(float, pose[:3])
+    return Block(index, (x, y, z, direction(pose)), max(top(achieved, j) for j in others(index)) + 0.035)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +113,7 @@ class _Order:
         if aloft:
             return aloft[0], self.carry(aloft[0], lasting=False)
         x, y, _ = map(float, self.hand.position)
-        return -1, Reach("rest", (x, y, HIGH))
+        return -1, Reach("rest", (min(max(x, -0.1), 0.1), y, HIGH))
 
     def withdrawal(self, subject: int) -> Skill | None:
         """Up and away first, where the fingers are about something else than what comes next, or about it askew."""
@@ -103,15 +122,16 @@ class _Order:
             off = hand.position - block(self.achieved, i)[:3]
             about = math.hypot(off[0], off[1]) < 0.03 and -0.03 < off[2] < 0.035
             if about and gripped(hand, self.achieved, i) is None:
-                x, y, z, *_ = map(float, self.to(i))
-                way = Block(i, (x, y, z, direction(self.to(i)))).way(hand, self.achieved)
+                x, y = map(float, block(self.achieved, i)[:2])
+                way = thing_towards(self.achieved, i, self.to(i)).way(hand, self.achieved)
                 askew = hand.yaw_error(direction(block(self.achieved, i)) + way) > 0.5
                 if i != subject or (askew and not upright(block(self.achieved, i))):
-                    return Withdraw("withdraw")
+                    return Withdraw("withdraw", (x, y))
         for index, post in POSTS.items():
-            off = hand.position - post.at(float(self.achieved[index]))
+            x, y, z = post.at(float(self.achieved[index]))
+            off = hand.position - (x, y, z)
             if index != subject and math.hypot(off[0], off[1]) < 0.03 and -0.04 < off[2] < 0.03:
-                return Withdraw("withdraw")
+                return Withdraw("withdraw", (x, y))
         return None
 
     # Where things are, and where they are to be ---------------------------------------------------------
@@ -150,7 +170,7 @@ class _Order:
         """The nearest thing to do of those that can be done; where all wait for each other, something aside."""
         ready = [i for i in wrong if rider(self.achieved, i) is None and self.can_land(i, now=False)]
         if ready:
-            return self.nearest([self.fetch(i, landing=True) or (i, self.carry(i)) for i in ready])
+            return self.nearest([self.pushed(i) or self.fetch(i, landing=True) or (i, self.carry(i)) for i in ready])
         blockers = {j for i in wrong for j in (rider(self.achieved, i), *self.occupants(i), *self.riders_below(i))}
         tops = {self.topmost(j) for j in blockers if j is not None} or set(wrong)
         return self.nearest([self.fetch(i, landing=False) or (i, self.aside(i)) for i in sorted(tops)])
@@ -177,15 +197,23 @@ class _Order:
         above = None if under is None else rider(self.achieved, under)
         return [] if above in (None, index) else [above]
 
+    def pushed(self, index: int) -> Choice | None:
+        """Over the edge into the drawer, where it lies ready for that and is to lie where it then falls."""
+        to, same = block(self.goal, index), abs(self.goal[DRAWER] - self.achieved[DRAWER]) < 0.02
+        near = abs(to[1] - LANDING_Y) < 0.03 and abs(to[0] - block(self.achieved, index)[0]) < 0.03
+        if same and near and in_tray(self.goal, index) and can_drop(self.achieved, index):
+            return index, PushIn(f"push_in_{BLOCK_NAMES[index]}", index)
+        return None
+
     def fetch(self, index: int, landing: bool) -> Choice | None:
         """What has to be done before a block can be taken, and (landing) put where it belongs."""
         achieved, to = self.achieved, block(self.goal, index)
         if in_tray(achieved, index) or (landing and in_tray(self.goal, index)):
-            opening = Slide("drawer", POSTS[DRAWER], scene.DRAWER_TRAVEL - 0.002)
+            opening = Slide("drawer", POSTS[DRAWER], POSTS[DRAWER].travel - 0.002)
             if achieved[DRAWER] < WIDE or opening.underway(self.hand, achieved):
                 return DRAWER, opening
         for pose, near in ((block(achieved, index), covered(achieved, index)), (to, landing and self.covers(to))):
-            away = 0.002 if pose[1] > scene.BAY_CENTRE[1] else scene.SLIDER_TRAVEL - 0.002
+            away = 0.002 if pose[1] > scene.BAY_CENTRE[1] else POSTS[SLIDER].travel - 0.002
             uncovering = Slide("slider", POSTS[SLIDER], away)
             if near or (self.in_bay_region(pose) and uncovering.underway(self.hand, achieved)):
                 return SLIDER, uncovering

@@ -76,7 +76,7 @@ class Block:
     def clearance(self, place: Array, height: float) -> float:
         """The posts stand in the way of low flight, and blocks on blocks."""
         x, y, z = map(float, place)
-        fixtures = 0.155 if x < -0.08 else 0.11 if y > 0.12 or y < -0.2 else 0.0
+        fixtures = 0.135 if x < -0.08 else 0.11 if y > 0.12 or y < -0.2 else 0.0
         return max(height, scene.TABLE_Z + fixtures - z, self.over - z)
 
 
@@ -107,11 +107,12 @@ def gripped(hand: Hand, achieved: Array, index: int) -> float | None:
 
 @dataclass(frozen=True)
 class Post:
-    """A fixture that slides along y, seen in `achieved[index]`; its post stands at `xy` when that is 0."""
+    """A fixture that slides along y, `achieved[index]` in 0 .. travel m; its post stands at `xy` when that is 0."""
 
     index: int
     xy: tuple[float, float]
     grip_z: float
+    travel: float
 
     def at(self, value: float) -> Array:
         """(3,) m, where to grip it."""
@@ -119,8 +120,8 @@ class Post:
 
 
 POSTS = {
-    DRAWER: Post(DRAWER, scene.DRAWER_POST_XY, scene.DRAWER_POST_TOP - 0.014),
-    SLIDER: Post(SLIDER, (scene.BAY_CENTRE[0], scene.SLIDER_Y), scene.SLIDER_POST_TOP - 0.015),
+    DRAWER: Post(DRAWER, scene.DRAWER_POST_XY, scene.DRAWER_POST_TOP - 0.014, scene.DRAWER_TRAVEL),
+    SLIDER: Post(SLIDER, (scene.BAY_CENTRE[0], scene.SLIDER_Y), scene.SLIDER_POST_TOP - 0.015, scene.SLIDER_TRAVEL),
 }
 
 
@@ -142,6 +143,8 @@ class Slide:
             return hand.move(post + np.array([0.0, left + np.sign(left) * 0.01, 0.0]), REST_YAW, CLOSE, style.speed)
         if held or abs(left) <= 0.02:
             away = hand.position + up(0.08 if hand.opening > 0.032 else 0.0)
+            if off < 0.03:  # straight up, whereto the arm may drift
+                away[:2] = post[:2]
             return hand.move(away, REST_YAW, OPEN, style.speed)
         turn = hand.yaw_error(REST_YAW)
         rise = 4.0 * max(0.0, off - 0.008) + 0.15 * max(0.0, turn - 0.12)
@@ -180,14 +183,15 @@ class Slide:
 
 @dataclass(frozen=True)
 class Withdraw:
-    """Open the fingers and take them up and away from what is between them."""
+    """Open the fingers and take them straight up from what is between them at (x, y) m."""
 
     name: str
+    over: tuple[float, float]
     lasting: bool = True
 
     def act(self, hand: Hand, achieved: Array, style: Style) -> Array:
         rise = 0.08 if hand.opening > 0.032 else 0.0
-        return hand.move(hand.position + up(rise), hand.yaw, OPEN, style.speed)
+        return hand.move(np.array([*self.over, hand.position[2] + rise]), hand.yaw, OPEN, style.speed)
 
     def done(self, hand: Hand, achieved: Array) -> bool:
         return bool(hand.position[2] > HIGH)
@@ -290,8 +294,8 @@ class PushIn:
         if in_tray(achieved, self.index):
             return hand.move(np.array([*hand.position[:2], HIGH]), REST_YAW, CLOSE, style.speed)
         behind = y - hand.position[1]
-        if hand.position[2] < low + 0.015 and behind > 0.03 and abs(hand.position[0] - x) < 0.02:
-            target = np.array([x, min(y - 0.025, scene.EDGE_Y - 0.005), low])
+        if hand.position[2] < low + 0.015 and behind > 0.02 and abs(hand.position[0] - x) < 0.02:
+            target = np.array([x, min(y + 0.02, scene.EDGE_Y + 0.01), low])
             return hand.move(target, 0.0, CLOSE, 0.6 * style.speed)
         start = np.array([x, y - 0.055])
         miss = float(np.hypot(*(hand.position[:2] - start)))

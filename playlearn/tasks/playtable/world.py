@@ -126,7 +126,7 @@ class PlayTableWorld(RobosuiteWorld):
             x, y, z = self.data.xpos[body]
             if z < scene.TRAY_FLOOR + 0.01:  # lower than where one in the drawer lies
                 return f"the {name} block fell off the table"
-            if not (x0 < x < x1 and y0 < y < y1):
+            if z < scene.TABLE_Z + 0.05 and not (x0 < x < x1 and y0 < y < y1):
                 return f"the {name} block went out of reach"
         return None
 
