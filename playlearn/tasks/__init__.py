@@ -9,5 +9,14 @@ from playlearn.tasks.nut_assembly import NutAssemblyConfig
 from playlearn.tasks.pick_place import PickPlaceConfig
 from playlearn.tasks.playtable import PlayTableConfig
 from playlearn.tasks.stack import StackConfig
+from playlearn.tasks.wipe import WipeConfig
 
-__all__ = ["DoorConfig", "LiftConfig", "NutAssemblyConfig", "PickPlaceConfig", "PlayTableConfig", "StackConfig"]
+__all__ = [
+    "DoorConfig",
+    "LiftConfig",
+    "NutAssemblyConfig",
+    "PickPlaceConfig",
+    "PlayTableConfig",
+    "StackConfig",
+    "WipeConfig",
+]

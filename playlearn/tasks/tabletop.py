@@ -84,7 +84,7 @@ class TabletopWorld(RobosuiteWorld):
                 self.robosuite = robosuite.make(
                     name,
                     robots=config.robot,
-                    gripper_types=config.gripper,
+                    **({} if config.gripper == "default" else {"gripper_types": config.gripper}),
                     hard_reset=False,  # or it forgets what is added here
                     has_renderer=False,
                     has_offscreen_renderer=False,

@@ -32,11 +32,11 @@ class Idea:
 class Driver(Protocol):
     """How to drive one kind of environment. Everything it decides follows from what it is given: it is Markov.
 
-    aimless: the box ((3,), (3,)) m in which an idle hand wanders.
+    aimless: the box ((3,), (3,)) m in which an idle hand wanders, where it does.
     """
 
     @property
-    def aimless(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]: ...
+    def aimless(self) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None: ...
 
     def ideas(self) -> Sequence[Idea]: ...
 

@@ -180,7 +180,7 @@ class _Playing:
     def _next(self, hand: Hand, achieved: Array) -> Skill:
         if self.driver.holding(hand, achieved):
             return self.driver.put_down(hand, achieved, self.rng)
-        if self._happens(self.config.aimless):
+        if self._happens(self.config.aimless) and self.driver.aimless is not None:
             x, y, z = self.rng.uniform(*self.driver.aimless)
             return Reach("aimless", (x, y, z))
         idea = pick(self.ideas, self.config.weights, achieved, self.rng)

@@ -30,7 +30,15 @@ def world(request: pytest.FixtureRequest) -> Iterator[Any]:
 def wander(world: Any, seed: int, steps: int) -> None:
     rng = np.random.default_rng(seed)
     for _ in range(steps):
-        world.step(np.append(rng.uniform(-0.5, 0.5, 6), rng.choice([-1, 1])))
+        world.step(motion(world, *rng.uniform(-0.5, 0.5, 6), grip=rng.choice([-1.0, 1.0])))
+
+
+def motion(world: Any, *moves: float, grip: float) -> Array:
+    """An action; a tool has no grip."""
+    action = np.full(len(world.spec.action_names), grip)
+    action[:6] = 0.0
+    action[: len(moves)] = moves
+    return action
 
 
 def begin(world: Any, task: Task, seed: int) -> tuple[Array, Array]:
@@ -86,7 +94,7 @@ def test_two_that_are_built_alike_start_alike(world: Any) -> None:
 
 
 def test_starts_are_sound_and_at_rest(world: Any) -> None:
-    still = np.array([0, 0, 0, 0, 0, 0, -1.0])
+    still = motion(world, grip=-1.0)
     for seed in range(8):
         world.reset(seed)
         start = world.observe().achieved
@@ -100,7 +108,8 @@ def test_starts_are_sound_and_at_rest(world: Any) -> None:
 def test_bad_actions_are_refused_and_leave_it_alone(world: Any) -> None:
     world.reset(0)
     before = world.sim_state()
-    for bad in (np.full(7, np.nan), np.zeros(6), np.full(7, 1.5)):
+    size = len(world.spec.action_names)
+    for bad in (np.full(size, np.nan), np.zeros(size - 1), np.full(size, 1.5)):
         with pytest.raises(ActionError):
             world.step(bad)
     np.testing.assert_array_equal(world.sim_state(), before)
@@ -170,7 +179,7 @@ def test_both_cameras_see_the_world_change(world: Any) -> None:
     world.reset(8)
     before = world.observe(world.spec.cameras).images
     for _ in range(12):
-        world.step(np.array([0.5, 0.3, -0.6, 0, 0, 0, 1.0]))
+        world.step(motion(world, 0.5, 0.3, -0.6, grip=1.0))
     for camera, image in world.observe(world.spec.cameras).images.items():
         assert image.std() > 10, f"{camera} sees nothing"
         assert np.abs(image.astype(int) - before[camera]).mean() > 1, f"{camera} does not see the arm move"
