@@ -9,6 +9,8 @@ from playlearn.tasks import PickPlaceConfig
 from playlearn.tasks.parcel import FLOOR
 from playlearn.tasks.pick_place import _CENTRES, PARCELS, PickPlaceWorld, compartment
 from playlearn.teleop import expert_for
+from playlearn.teleop.hand import Hand, Style
+from playlearn.teleop.skills import Leaning, Reach
 
 
 @pytest.fixture(scope="module", params=list(PARCELS))
@@ -77,6 +79,22 @@ def test_a_can_that_fell_is_carried_lying(can: PickPlaceWorld) -> None:
         return can.reached(can.achieved(), goal)
 
     assert rollout([can], expert_for(can), [Goal(goal)], seeds=[0], max_steps=250, stop=there)[0].ended == "stopped"
+
+
+def test_a_leaning_hand_points_outwards_and_only_far_out() -> None:
+    """0.1 m beyond where it begins, over a hand of 0.2 m: half a radian, were 0.45 not the most."""
+    down = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
+    for away, lean in ((0.5, 0.0), (0.7, 0.0), (0.74, 0.2), (0.8, 0.45)):
+        place = np.array([away, 0.0, 1.0])
+        reach = Reach("reach", (away, 0.0, 1.0))
+        c, s = np.cos(lean), np.sin(lean)
+        leant = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]]) @ down  # about -y: its z axis tips towards +x
+        np.testing.assert_allclose(leant[:, 2], [s, 0, -c], atol=1e-12)
+        action = Leaning(reach, (0.0, 0.0), 0.7).act(Hand(place, leant, 0.08), np.zeros(0), Style())
+        np.testing.assert_allclose(action[:6], 0, atol=1e-6)  # there it is, leaning as it should
+        if lean == 0:
+            plain = reach.act(Hand(place, leant, 0.08), np.zeros(0), Style())
+            np.testing.assert_array_equal(action, plain)
 
 
 def test_a_can_left_lying_in_a_compartment_ends_the_episode(can: PickPlaceWorld) -> None:
