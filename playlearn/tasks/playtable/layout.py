@@ -22,7 +22,7 @@ STOWED_Z = scene.TRAY_FLOOR + scene.BLOCK_HALF[2]
 LANDING_Y = scene.EDGE_Y + 0.02  # where a block comes to lie that is pushed over the edge
 FREE_X, FREE_Y = (-0.03, 0.15), (-0.18, 0.12)  # where blocks are laid, metres
 OPEN, CLOSED = 0.11, 0.03  # metres of drawer opening
-COVERING = 0.085  # metres along the bay between block and slider, below which no finger gets at the block
+COVERING = 0.078  # metres along the bay between block and slider, below which no finger gets at the block
 
 
 def block(achieved: Array, index: int) -> Array:

@@ -28,7 +28,6 @@ from playlearn.tasks.playtable.layout import (
     SLIDER,
     between,
     block,
-    covered,
     direction,
     distance,
     in_bay,
@@ -59,7 +58,6 @@ from playlearn.teleop.skills import Carry, Reach, Skill
 WIDE = 0.15  # metres of drawer opening at which all that lies in it can be got at
 _ALL = range(len(BLOCK_NAMES))
 _SWITCHES = {BULB: scene.LEVER_XY, LED: scene.BUTTON_XY}
-Choice = tuple[int, Skill]  # the block (or, by its index in `achieved`, the fixture) and what to do with it
 _SPOTS = spots()
 _HOLLOW = 0.01  # metres above its place at which a block is let go in the drawer
 
@@ -88,6 +86,15 @@ def thing_towards(achieved: Array, index: int, pose: Array) -> Block:
     return Block(index, (x, y, z, direction(pose)), max(top(achieved, j) for j in others(index)) + 0.035)
 
 
+@dataclass(frozen=True)
+class Choice:
+    """What to do next. subject: with which block or, by its index in `achieved`, fixture. thing: how it is taken."""
+
+    subject: int
+    skill: Skill
+    thing: Block | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class _Order:
     hand: Hand
@@ -95,42 +102,46 @@ class _Order:
     goal: Array
 
     def next(self) -> Skill:
-        subject, skill = self.choose()
-        return self.withdrawal(subject) or skill
+        choice = self.choose()
+        return self.withdrawal(choice) or choice.skill
 
     def choose(self) -> Choice:
-        wrong = [i for i in _ALL if not self.there(i)]
-        resting = [i for i in wrong if rests(self.goal, i)]
         aloft = [i for i in _ALL if not rests(self.goal, i)]
+        wrong = [i for i in _ALL if i not in aloft and not self.there(i)]
         held = in_hand(self.hand, self.achieved)
-        fixture = None if resting else self.fixture()
+        fixture = None if wrong else self.fixture()
         if held is not None:
-            return held, self.with_held(held, held in aloft, bool(set(resting) - {held}) or fixture is not None)
-        if resting:
-            return self.with_blocks(resting)
+            return self.with_held(held, held in aloft, bool(set(wrong) - {held}) or fixture is not None)
+        if wrong:
+            return self.with_blocks(wrong)
+        shut = next((i for i in aloft if self.shut_in(i)), None)
+        if shut is not None:
+            return self.fetch(shut, landing=False) or self.aside(shut)
         if fixture is not None:
             return fixture
         if aloft:
-            return aloft[0], self.carry(aloft[0], lasting=False)
+            return self.carry(aloft[0], lasting=False)
         x, y, _ = map(float, self.hand.position)
-        return -1, Reach("rest", (min(max(x, -0.1), 0.1), y, HIGH))
+        return Choice(-1, Reach("rest", (min(max(x, -0.1), 0.1), y, HIGH)))
 
-    def withdrawal(self, subject: int) -> Skill | None:
+    def withdrawal(self, choice: Choice) -> Skill | None:
         """Up and away first, where the fingers are about something else than what comes next, or about it askew."""
         hand = self.hand
         for i in _ALL:
-            off = hand.position - block(self.achieved, i)[:3]
+            pose = block(self.achieved, i)
+            off = hand.position - pose[:3]
             about = math.hypot(off[0], off[1]) < 0.03 and -0.03 < off[2] < 0.035
-            if about and gripped(hand, self.achieved, i) is None:
-                x, y = map(float, block(self.achieved, i)[:2])
-                way = thing_towards(self.achieved, i, self.to(i)).way(hand, self.achieved)
-                askew = hand.yaw_error(direction(block(self.achieved, i)) + way) > 0.5
-                if i != subject or (askew and not upright(block(self.achieved, i))):
-                    return Withdraw("withdraw", (x, y))
+            if not about or gripped(hand, self.achieved, i) is not None:
+                continue
+            if i == choice.subject:
+                thing = None if upright(pose) else choice.thing
+                if thing is None or hand.yaw_error(direction(pose) + thing.way(hand, self.achieved)) < 0.5:
+                    continue
+            return Withdraw("withdraw", (float(pose[0]), float(pose[1])))
         for index, post in POSTS.items():
             x, y, z = post.at(float(self.achieved[index]))
             off = hand.position - (x, y, z)
-            if index != subject and math.hypot(off[0], off[1]) < 0.03 and -0.04 < off[2] < 0.03:
+            if index != choice.subject and math.hypot(off[0], off[1]) < 0.03 and -0.04 < off[2] < 0.03:
                 return Withdraw("withdraw", (x, y))
         return None
 
@@ -155,14 +166,12 @@ class _Order:
 
     # What comes next ------------------------------------------------------------------------------------
 
-    def with_held(self, index: int, aloft: bool, more: bool) -> Skill:
+    def with_held(self, index: int, aloft: bool, more: bool) -> Choice:
         if (aloft and more) or (not aloft and not self.can_land(index)):
             return self.aside(index)
-        way = gripped(self.hand, self.achieved, index)
-        to = self.to(index)
-        x, y, z = map(float, to[:3])
-        fit = ways(self.achieved, index, (x, y, z, direction(to)))
-        if fit and way not in fit and not aloft:
+        x, y, z, *_ = map(float, self.to(index))
+        fit = ways(self.achieved, index, (x, y, z, direction(self.to(index))))
+        if fit and gripped(self.hand, self.achieved, index) not in fit and not aloft:
             return self.aside(index)  # to take it the other way round
         return self.carry(index, lasting=not aloft)
 
@@ -170,54 +179,34 @@ class _Order:
         """The nearest thing to do of those that can be done; where all wait for each other, something aside."""
         ready = [i for i in wrong if rider(self.achieved, i) is None and self.can_land(i, now=False)]
         if ready:
-            return self.nearest([self.pushed(i) or self.fetch(i, landing=True) or (i, self.carry(i)) for i in ready])
+            return self.nearest([self.pushed(i) or self.fetch(i, landing=True) or self.carry(i) for i in ready])
         blockers = {j for i in wrong for j in (rider(self.achieved, i), *self.occupants(i), *self.riders_below(i))}
         tops = {self.topmost(j) for j in blockers if j is not None} or set(wrong)
-        return self.nearest([self.fetch(i, landing=False) or (i, self.aside(i)) for i in sorted(tops)])
-
-    def nearest(self, choices: list[Choice]) -> Choice:
-        """On the way to what is nearest it stays nearest: so it is not thought better of."""
-        return min(choices, key=lambda choice: self.away(self.place(choice[0])))
-
-    def place(self, subject: int) -> Array | tuple[float, float]:
-        if subject in POSTS:
-            return POSTS[subject].at(float(self.achieved[subject]))
-        return _SWITCHES[subject] if subject in _SWITCHES else block(self.achieved, subject)
-
-    def away(self, place: Array | tuple[float, float]) -> float:
-        return distance(self.hand.position, place)
-
-    def topmost(self, index: int) -> int:
-        above = rider(self.achieved, index)
-        return index if above is None else self.topmost(above)
-
-    def riders_below(self, index: int) -> list[int]:
-        """What lies on the block that this one is to lie on."""
-        under = supporter(self.goal, index)
-        above = None if under is None else rider(self.achieved, under)
-        return [] if above in (None, index) else [above]
+        return self.nearest([self.fetch(i, landing=False) or self.aside(i) for i in sorted(tops)])
 
     def pushed(self, index: int) -> Choice | None:
         """Over the edge into the drawer, where it lies ready for that and is to lie where it then falls."""
         to, same = block(self.goal, index), abs(self.goal[DRAWER] - self.achieved[DRAWER]) < 0.02
         near = abs(to[1] - LANDING_Y) < 0.03 and abs(to[0] - block(self.achieved, index)[0]) < 0.03
         if same and near and in_tray(self.goal, index) and can_drop(self.achieved, index):
-            return index, PushIn(f"push_in_{BLOCK_NAMES[index]}", index)
+            return Choice(index, PushIn(f"push_in_{BLOCK_NAMES[index]}", index))
         return None
 
     def fetch(self, index: int, landing: bool) -> Choice | None:
         """What has to be done before a block can be taken, and (landing) put where it belongs."""
-        achieved, to = self.achieved, block(self.goal, index)
-        if in_tray(achieved, index) or (landing and in_tray(self.goal, index)):
+        here, to = block(self.achieved, index), block(self.goal, index)
+        if in_tray(self.achieved, index) or (landing and in_tray(self.goal, index)):
             opening = Slide("drawer", POSTS[DRAWER], POSTS[DRAWER].travel - 0.002)
-            if achieved[DRAWER] < WIDE or opening.underway(self.hand, achieved):
-                return DRAWER, opening
-        for pose, near in ((block(achieved, index), covered(achieved, index)), (to, landing and self.covers(to))):
-            away = 0.002 if pose[1] > scene.BAY_CENTRE[1] else POSTS[SLIDER].travel - 0.002
-            uncovering = Slide("slider", POSTS[SLIDER], away)
-            if near or (self.in_bay_region(pose) and uncovering.underway(self.hand, achieved)):
-                return SLIDER, uncovering
-        return (index, Tip(f"tip_{BLOCK_NAMES[index]}", index)) if upright(block(achieved, index)) else None
+            if self.achieved[DRAWER] < WIDE or opening.underway(self.hand, self.achieved):
+                return Choice(DRAWER, opening)
+        uncovering = self.uncovering(here)
+        if uncovering is None and landing:
+            uncovering = self.uncovering(to)
+            if uncovering is not None and self.covers(here, at=uncovering.value):
+                uncovering = None  # taken first, then laid aside: it cannot be free at both ends
+        if uncovering is not None:
+            return Choice(SLIDER, uncovering)
+        return Choice(index, Tip(f"tip_{BLOCK_NAMES[index]}", index)) if upright(here) else None
 
     def fixture(self) -> Choice | None:
         """The nearest of those that are not as they should be."""
@@ -226,25 +215,41 @@ class _Order:
         for index, name in ((SLIDER, "slider"), (DRAWER, "drawer")):
             slide = Slide(name, POSTS[index], float(goal[index]))
             if abs(goal[index] - achieved[index]) > 0.02 or slide.underway(self.hand, achieved):
-                left.append((index, slide))
+                left.append(Choice(index, slide))
         if (goal[BULB] > 0.5) != (achieved[BULB] > 0.5):
-            left.append((BULB, Flip("flip", bool(goal[BULB] > 0.5))))
+            left.append(Choice(BULB, Flip("flip", bool(goal[BULB] > 0.5))))
         if (goal[LED] > 0.5) != (achieved[LED] > 0.5):
-            left.append((LED, Press("press", bool(goal[LED] > 0.5))))
-        return self.nearest(left) if left else None
+            left.append(Choice(LED, Press("press", bool(goal[LED] > 0.5))))
+        return min(left, key=lambda one: distance(self.hand.position, self.place(one.subject))) if left else None
 
-    def aside(self, index: int) -> Skill:
-        """To the spot on the deck that is farthest from where others are or are to be."""
-        away = [block(self.achieved, i)[:2] for i in others(index)] + [block(self.goal, i)[:2] for i in others(index)]
-        far = np.minimum(np.hypot(*(_SPOTS[:, None] - np.array(away)[None]).transpose(2, 0, 1)).min(axis=1), 0.12)
+    def aside(self, index: int) -> Choice:
+        """To a spot on the deck that is far from where others are or are to be."""
+        taken = np.array([block(where, i)[:2] for where in (self.achieved, self.goal) for i in others(index)])
+        far = np.minimum(np.hypot(*(_SPOTS[:, None] - taken[None]).transpose(2, 0, 1)).min(axis=1), 0.12)
         yaw = float(np.clip(direction(block(self.achieved, index)), -1.2, 1.2))
-        best = [tuple(_SPOTS[k]) for k in np.argsort(-far, kind="stable")[:6]]  # where it can be taken either way
-        x, y = next((spot for spot in best if len(ways(self.achieved, index, (*spot, LYING_Z, yaw))) == 2), best[0])
+        best = [(float(x), float(y)) for x, y in _SPOTS[np.argsort(-far, kind="stable")[:6]]]
+        either = (spot for spot in best if len(ways(self.achieved, index, (*spot, LYING_Z, yaw))) == 2)
+        x, y = next(either, best[0])  # from where it can be taken either way
         pose = np.array([x, y, LYING_Z, math.cos(2 * yaw), math.sin(2 * yaw)])
-        return carry(self.hand, self.achieved, index, pose, f"park_{BLOCK_NAMES[index]}")
+        return self.carry(index, pose, f"park_{BLOCK_NAMES[index]}")
 
-    def carry(self, index: int, lasting: bool = True) -> Skill:
-        return carry(self.hand, self.achieved, index, self.to(index), lasting=lasting)
+    def carry(self, index: int, pose: Array | None = None, name: str | None = None, lasting: bool = True) -> Choice:
+        pose = self.to(index) if pose is None else pose
+        skill = carry(self.hand, self.achieved, index, pose, name, lasting)
+        return Choice(index, skill, thing_towards(self.achieved, index, pose))
+
+    def nearest(self, choices: list[Choice]) -> Choice:
+        """Blocks that can be taken now before fixtures in the way of others, which might cover them again.
+
+        Of these the nearest: on the way there it stays the nearest, so it is not thought better of.
+        """
+        away = [distance(self.hand.position, self.place(choice.subject)) for choice in choices]
+        return choices[min(range(len(choices)), key=lambda k: (choices[k].subject in POSTS, away[k]))]
+
+    def place(self, subject: int) -> Array | tuple[float, float]:
+        if subject in POSTS:
+            return POSTS[subject].at(float(self.achieved[subject]))
+        return _SWITCHES[subject] if subject in _SWITCHES else block(self.achieved, subject)
 
     # Whether it can ---------------------------------------------------------------------------------------
 
@@ -266,13 +271,34 @@ class _Order:
         level = [j for j in others(index) if abs(block(self.achieved, j)[2] - z) < 0.035]
         return [j for j in level if apart(place, footprint(self.achieved, j)) < 0.0 and not self.there(j)]
 
-    def covers(self, pose: Array) -> bool:
-        """Whether the slider stands over a place in the bay."""
-        return bool(self.in_bay_region(pose) and abs(pose[1] - slider_y(self.achieved)) < COVERING)
+    def topmost(self, index: int) -> int:
+        above = rider(self.achieved, index)
+        return index if above is None else self.topmost(above)
 
-    @staticmethod
-    def in_bay_region(pose: Array) -> bool:
-        return bool(abs(pose[0] - scene.BAY_CENTRE[0]) < scene.BAY_HALF[0] + 0.02 and pose[2] < scene.SLIDER_ROOF)
+    def riders_below(self, index: int) -> list[int]:
+        """What lies on the block that this one is to lie on."""
+        under = supporter(self.goal, index)
+        above = None if under is None else rider(self.achieved, under)
+        return [] if above is None or above == index else [above]
+
+    def shut_in(self, index: int) -> bool:
+        """Whether a block lies where drawer and slider, as the goal shows them, would not let it out."""
+        drawn = in_tray(self.achieved, index) and self.goal[DRAWER] < WIDE
+        return bool(drawn or self.covers(block(self.achieved, index), at=float(self.goal[SLIDER])))
+
+    def uncovering(self, pose: Array) -> Slide | None:
+        """The slider moved away from over a place, to the end that is farther from it, if it has to be."""
+        away = 0.002 if pose[1] > scene.BAY_CENTRE[1] else POSTS[SLIDER].travel - 0.002
+        slide = Slide("slider", POSTS[SLIDER], away, near=0.01)
+        going = slide.underway(self.hand, self.achieved) and self.covers(pose, margin=COVERING + 0.03)
+        return slide if going or self.covers(pose) else None
+
+    def covers(self, pose: Array, at: float | None = None, margin: float = COVERING) -> bool:
+        """Whether the slider, where it is or `at` m, stands over a place in the bay."""
+        x, y, z = map(float, pose[:3])
+        slider = slider_y(self.achieved) if at is None else scene.SLIDER_Y + at
+        inside = abs(x - scene.BAY_CENTRE[0]) < scene.BAY_HALF[0] + 0.03 and z < scene.SLIDER_ROOF + 0.02
+        return inside and abs(y - slider) < margin
 
 
 def rests(goal: Array, index: int) -> bool:

@@ -127,11 +127,12 @@ POSTS = {
 
 @dataclass(frozen=True)
 class Slide:
-    """Take a fixture by its post and bring it to `value` m."""
+    """Take a fixture by its post and bring it to `value` m. near: metres within which it counts as there."""
 
     name: str
     post: Post
     value: float
+    near: float = 0.02
     lasting: bool = True
 
     def act(self, hand: Hand, achieved: Array, style: Style) -> Array:
@@ -141,7 +142,7 @@ class Slide:
         left = self.value - now
         if held and abs(left) > 0.006:
             return hand.move(post + np.array([0.0, left + np.sign(left) * 0.01, 0.0]), REST_YAW, CLOSE, style.speed)
-        if held or abs(left) <= 0.02:
+        if held or abs(left) <= self.near:
             away = hand.position + up(0.08 if hand.opening > 0.032 else 0.0)
             if off < 0.03:  # straight up, whereto the arm may drift
                 away[:2] = post[:2]
@@ -167,7 +168,7 @@ class Slide:
         return off, level, 0.018 < hand.opening < 0.028 and off < 0.02 and level
 
     def done(self, hand: Hand, achieved: Array) -> bool:
-        near = abs(achieved[self.post.index] - self.value) <= 0.02
+        near = abs(achieved[self.post.index] - self.value) <= self.near
         return bool(near and hand.position[2] > self.post.grip_z + 0.05)
 
     def plan(self, hand: Hand, achieved: Array, style: Style) -> Sequence[Waypoint]:
