@@ -36,6 +36,7 @@ from playlearn.tasks.playtable.layout import (
     rider,
     slider_y,
     supporter,
+    tray_y,
     upright,
 )
 from playlearn.tasks.playtable.named import can_drop
@@ -195,9 +196,11 @@ class _Order:
     def fetch(self, index: int, landing: bool) -> Choice | None:
         """What has to be done before a block can be taken, and (landing) put where it belongs."""
         here, to = block(self.achieved, index), block(self.goal, index)
-        if in_tray(self.achieved, index) or (landing and in_tray(self.goal, index)):
+        stowed, stow = in_tray(self.achieved, index), landing and in_tray(self.goal, index)
+        if stowed or stow:
             opening = Slide("drawer", POSTS[DRAWER], POSTS[DRAWER].travel - 0.002)
-            if self.achieved[DRAWER] < WIDE or opening.underway(self.hand, self.achieved):
+            drawn_in = (stowed and self.under_deck(index, here)) or (stow and self.under_deck(index, self.to(index)))
+            if drawn_in or opening.underway(self.hand, self.achieved):
                 return Choice(DRAWER, opening)
         uncovering = self.uncovering(here)
         if uncovering is None and landing:
@@ -235,6 +238,13 @@ class _Order:
 
     def carry(self, index: int, pose: Array | None = None, name: str | None = None, lasting: bool = True) -> Choice:
         pose = self.to(index) if pose is None else pose
+        here = block(self.achieved, index)
+        if gripped(self.hand, self.achieved, index) is not None:
+            away, above = distance(here, pose), here[2] - pose[2]
+            if math.hypot(here[3], here[4]) < 0.85 and away < 0.02 and above < 0.035 and lasting:
+                return Choice(index, Withdraw("drop", (float(here[0]), float(here[1]))))  # askew it comes no lower
+            if away > 0.03 and here[1] > scene.EDGE_Y - 0.02 and here[2] < scene.TABLE_Z + 0.025:
+                pose = np.array([*here[:2], scene.TABLE_Z + 0.12, *here[3:]])  # out of the drawer straight up
         skill = carry(self.hand, self.achieved, index, pose, name, lasting)
         return Choice(index, skill, thing_towards(self.achieved, index, pose))
 
@@ -258,7 +268,7 @@ class _Order:
         to, under = block(self.goal, index), supporter(self.goal, index)
         if under is not None and (not self.there(under) or rider(self.achieved, under) not in (None, index)):
             return False
-        if now and (self.covers(to) or (in_tray(self.goal, index) and self.achieved[DRAWER] < WIDE - 0.02)):
+        if now and (self.covers(to) or (in_tray(self.goal, index) and self.under_deck(index, self.to(index)))):
             return False
         return not self.occupants(index)
 
@@ -270,6 +280,18 @@ class _Order:
         place = (x, y, direction(to), length, width)
         level = [j for j in others(index) if abs(block(self.achieved, j)[2] - z) < 0.035]
         return [j for j in level if apart(place, footprint(self.achieved, j)) < 0.0 and not self.there(j)]
+
+    def under_deck(self, index: int, pose: Array) -> bool:
+        """Whether the drawer would have to be opened further for a block to be gripped at `pose` (5,)."""
+        if self.achieved[DRAWER] > WIDE:
+            return False
+        x, y, z, yaw = (*map(float, pose[:3]), direction(pose))
+        deep = scene.BLOCK_HALF[0] * abs(math.sin(yaw)) + scene.BLOCK_HALF[1] * abs(
+            math.cos(yaw)
+        )  # half of it, along y
+        front = tray_y(self.achieved) + scene.TRAY_HALF[1]
+        room = y - deep > scene.EDGE_Y - 0.005 and y + deep < front
+        return not room or not ways(self.achieved, index, (x, y, z, yaw))
 
     def topmost(self, index: int) -> int:
         above = rider(self.achieved, index)

@@ -217,6 +217,13 @@ class Press:
             away = np.array([*hand.position[:2], HIGH])
             return hand.move(away, REST_YAW, CLOSE, leaving * style.speed)
         off = float(np.hypot(hand.position[0] - x, hand.position[1] - y))
+        if off < 0.03 and hand.position[2] < scene.BUTTON_TOP + 0.02:
+            # Pressed down without a change: it was pressed before, and must come up first. That the fingers
+            # are opened meanwhile tells the way up from the way down.
+            if hand.opening > 0.004:
+                return hand.move(np.array([x, y, hand.position[2] + 0.04]), REST_YAW, OPEN, style.speed)
+            if hand.position[2] < scene.BUTTON_TOP + TIP - 0.009:
+                return hand.move(hand.position, REST_YAW, OPEN, style.speed)
         low = hand.position[2] < scene.BUTTON_TOP + 0.03
         above = min(style.approach, 4.0 * max(0.0, off - (0.020 if low else 0.010)))
         pressing = -0.04 if above == 0.0 and hand.opening < 0.02 else 0.02
