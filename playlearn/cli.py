@@ -168,6 +168,19 @@ def lab(arguments: argparse.Namespace) -> int:
     return DONE
 
 
+def bench(arguments: argparse.Namespace) -> int:
+    from dataclasses import asdict, replace
+
+    from playlearn.bench import Size, run
+
+    said = (lambda _: None) if arguments.json else (lambda figure: print(figure.line(), flush=True))
+    quick = Size(steps=20, rounds=1, episodes=20) if arguments.quick else Size()
+    figures = run(arguments.name, replace(quick, out=arguments.out), said)
+    if arguments.json:
+        print(json.dumps([asdict(figure) for figure in figures], indent=2))
+    return DONE
+
+
 def doctor(arguments: argparse.Namespace) -> int:
     from playlearn.doctor import doctor as run
 
@@ -260,6 +273,12 @@ def _parser() -> argparse.ArgumentParser:
 
     made = verb(lab, "lab", "run a small experiment and plot what came out", free=True)
     _config(made, "configs/lab/NAME.yaml")
+
+    made = verb(bench, "bench", "measure speed beside robosuite and beside the limit, in one run")
+    made.add_argument("name", nargs="*", metavar="NAME", help="sim, render, collect, grow (default: all)")
+    made.add_argument("--out", type=Path, metavar="DIR", help="write compared images here")
+    made.add_argument("--quick", action="store_true", help="seconds instead of minutes; the figures say little")
+    _json(made)
 
     made = verb(doctor, "doctor", "say what this machine has, what is missing, and the command that mends it")
     _json(made)

@@ -1,4 +1,10 @@
-"""Small images of a scene, quickly: simplified visual meshes, no multisampling, one GL context a process."""
+"""Images of a scene, quickly: no more is drawn than they can show, four samples a pixel, one GL context a process.
+
+What costs time on a CPU is vertices, textured surfaces behind others, the sky and reflections; updating the scene
+and reading the picture are nothing beside them. So meshes are simplified to the size of the image (`lean`), what is
+out of view or covered is left out (`cover`), what stands still before a fixed camera is drawn once, and reflections,
+of which robosuite's floor has one in a hundred, not at all.
+"""
 
 import atexit
 import functools
@@ -7,93 +13,195 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-import fast_simplification
 import mujoco
+import numba
 import numpy as np
 
 from playlearn.episode import Array
 from playlearn.errors import RenderError
-
-VISUAL_GROUP = 1
+from playlearn.sim.cover import Cover
+from playlearn.sim.lean import FINEST, VISUAL_GROUP, lean_model
 
 
 class Renderer:
-    """Draws a model in any state, from any camera, in any size; holds its own data, never the simulation's.
+    """Draws a scene in any state, from any camera, in any size; holds its own data, never the simulation's.
 
-    xml: the scene. faces: visual meshes are simplified to about this many triangles in all.
-    paint: called with the model before drawing, to show what is not in qpos (a lit lamp).
-
-    Raises:
-        RenderError: no headless OpenGL can be had; the message says what to install.
+    xml: the scene. home: (nq,), a pose from which to judge how near the cameras come to things.
+    paint: called with a model and what a world keeps beside MuJoCo's state, to show it (a lit lamp).
     """
 
-    def __init__(self, xml: str, faces: int, paint: Callable[[mujoco.MjModel, Array], None]) -> None:
-        self._model = _simplified(xml, faces).compile()
-        self._model.vis.quality.offsamples = 0
-        self._model.vis.quality.shadowsize = 1024
-        self._model.vis.headlight.diffuse[:] = 0.25  # robosuite's lights and a full headlight bleach a white table
-        self._data = mujoco.MjData(self._model)
-        self._paint = paint
+    def __init__(self, xml: str, home: Array, paint: Callable[[mujoco.MjModel, Array], None]) -> None:
+        self._xml, self._home, self._paint = xml, np.array(home), paint
+        self._stages: dict[int, _Stage] = {}
+
+    def draw(self, qpos: Array, extra: Array, camera: str, height: int, width: int) -> Array:
+        """(h, w, 3) uint8, upright; the picture depends on nothing but these arguments.
+
+        Raises:
+            RenderError: no headless OpenGL can be had; the message says what to install.
+        """
+        return self._stage(height).draw(qpos, extra, camera, height, width)
+
+    def backend(self) -> str:
+        """GL back end and device, such as `egl: llvmpipe (LLVM 15.0.6, 256 bits)`."""
+        _gl_context().make_current()  # as in `_need`
+        from OpenGL import GL  # only once a platform has been chosen by the context
+
+        while GL.glGetError():  # whatever somebody else's drawing left behind is not ours to report
+            pass
+        return f"{os.environ.get('MUJOCO_GL', 'default')}: {GL.glGetString(GL.GL_RENDERER).decode()}"
+
+    def _stage(self, height: int) -> "_Stage":
+        rows = 64
+        while rows < height and rows <= FINEST:
+            rows *= 2
+        if rows not in self._stages:
+            _gl_context()  # says what is missing, before time is spent
+            self._stages[rows] = _Stage(lean_model(self._xml, self._home, rows), self._paint)
+        return self._stages[rows]
+
+
+class _Stage:
+    """A compiled scene and what it takes to draw it."""
+
+    def __init__(self, model: mujoco.MjModel, paint: Callable[[mujoco.MjModel, Array], None]) -> None:
+        self._model, self._data, self._paint = model, mujoco.MjData(model), paint
+        self._visual = model.geom_group == VISUAL_GROUP
+        self._moves = model.body_weldid[model.geom_bodyid] != 0
+        self._room = self._visual & (model.geom_bodyid == 0)
+        self._cover = Cover(model, self._room, self._visual & ~self._room & ~self._moves)
         self._option = mujoco.MjvOption()
         self._option.geomgroup[:] = 0
         self._option.geomgroup[VISUAL_GROUP] = 1
         self._option.sitegroup[:] = 0
-        self._scene = mujoco.MjvScene(self._model, maxgeom=2000)
+        self._scene = mujoco.MjvScene(model, maxgeom=2000)
         self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
         self._context: mujoco.MjrContext | None = None
         self._size = (0, 0)
-        self._state: Array | None = None
+        self._backgrounds: dict[tuple[int, int, int], tuple[bytes, Array, Array]] = {}
 
-    def set_state(self, qpos: Array, extra: Array) -> None:
-        """Place everything: qpos (nq,), and what `paint` shows."""
-        self._paint(self._model, extra)
-        self._data.qpos[:] = qpos
-        mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_comPos(self._model, self._data)
-        mujoco.mj_camlight(self._model, self._data)
+    def draw(self, qpos: Array, extra: Array, camera: str, height: int, width: int) -> Array:
+        model, data = self._model, self._data
+        self._paint(model, extra)
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_camlight(model, data)
+        number = int(model.camera(camera).id)
+        fine, image = np.empty((2 * height, 2 * width, 3), np.uint8), np.empty((height, width, 3), np.uint8)
+        if self._stands_before_a_background(number):
+            behind, far = self._background(number, height, width)
+            depth = np.empty(far.shape, np.float32)
+            self._shoot(number, self._visual & self._moves, False, fine, depth)
+            _put_before(fine, depth, behind, far)
+        else:
+            sky, room = self._cover.seen(data, number, width / height)
+            self._shoot(number, self._visual if room else self._visual & ~self._room, sky, fine, None)
+        _halve(fine, image)
+        return image
 
-    def draw(self, camera: str, height: int, width: int) -> Array:
-        """(h, w, 3) uint8, upright, of the state last set."""
+    def _stands_before_a_background(self, camera: int) -> bool:
+        """Whether what stands still can be drawn by itself: camera fixed, nothing clear before it, no shadow on it."""
+        model = self._model
+        if model.body_weldid[model.cam_bodyid[camera]] or model.light_castshadow.any():
+            return False
+        alpha = np.where(model.geom_matid >= 0, model.mat_rgba[model.geom_matid, 3], model.geom_rgba[:, 3])
+        return not ((alpha > 0) & (alpha < 1) & self._visual & self._moves).any()
+
+    def _background(self, camera: int, height: int, width: int) -> tuple[Array, Array]:
+        """All that stands still, as a fixed camera sees it: image and depth, drawn anew when `paint` changed it."""
+        model = self._model
+        painted = (model.body_pos, model.body_quat, model.geom_rgba, model.mat_rgba, model.mat_emission)
+        look = b"".join(values.tobytes() for values in painted)
+        kept = self._backgrounds.get((camera, height, width))
+        if kept is None or kept[0] != look:
+            image, depth = np.empty((2 * height, 2 * width, 3), np.uint8), np.empty((2 * height, 2 * width), np.float32)
+            self._shoot(camera, self._visual & ~self._moves, True, image, depth)
+            kept = self._backgrounds[camera, height, width] = look, image, depth
+        return kept[1:]
+
+    def _shoot(self, camera: int, geoms: Array, sky: bool, image: Array, depth: Array | None) -> None:
+        """Fill image (H, W, 3) and depth (H, W), 0 near .. 1 nothing, with these geoms (g,) bool; bottom row first."""
+        height, width, _ = image.shape
         context = self._need(height, width)
         view = mujoco.MjvCamera()
-        view.type = mujoco.mjtCamera.mjCAMERA_FIXED
-        view.fixedcamid = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
-        mujoco.mjv_updateScene(
-            self._model, self._data, self._option, None, view, mujoco.mjtCatBit.mjCAT_ALL, self._scene
-        )
+        view.type, view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, camera
+        shown = geoms & self._in_view(camera, width / height)
+        self._model.geom_group[:] = np.where(shown, VISUAL_GROUP, mujoco.mjNGROUP - 1)
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = sky
+        every = mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(self._model, self._data, self._option, None, view, every, self._scene)
         rectangle = mujoco.MjrRect(0, 0, width, height)
         mujoco.mjr_render(rectangle, self._scene, context)
-        image = np.empty((height, width, 3), np.uint8)
-        mujoco.mjr_readPixels(image, None, rectangle, context)
-        return np.ascontiguousarray(image[::-1])  # OpenGL's rows go bottom-up
+        mujoco.mjr_readPixels(image, depth, rectangle, context)
 
-    def backend(self) -> str:
-        """GL back end and device, such as `egl: llvmpipe (LLVM 15.0.6, 256 bits)`."""
-        self._need(1, 1)
-        from OpenGL import GL  # only once a platform has been chosen by the context
-
-        return f"{os.environ.get('MUJOCO_GL', 'default')}: {GL.glGetString(GL.GL_RENDERER).decode()}"
+    def _in_view(self, camera: int, aspect: float) -> Array:
+        """(g,) bool: geoms whose bounding boxes are not wholly beyond a side of the camera's view; MuJoCo draws all."""
+        model, data = self._model, self._data
+        slope = float(np.tan(np.deg2rad(model.cam_fovy[camera]) / 2))
+        across, up = np.array([1, 0, slope * aspect]), np.array([0, 1, slope])
+        outward = np.stack([across, across * [-1, 0, 1], up, up * [0, -1, 1], np.array([0, 0, 1])])
+        outward = outward @ data.cam_xmat[camera].reshape(3, 3).T  # (5, 3), the last one points backwards
+        turns = data.geom_xmat.reshape(-1, 3, 3)
+        middle = data.geom_xpos + (turns @ model.geom_aabb[:, :3, None])[:, :, 0] - data.cam_xpos[camera]
+        thick = (np.abs(outward @ turns) @ model.geom_aabb[:, 3:, None])[:, :, 0]  # (g, 5)
+        inside: Array = (middle @ outward.T < thick).all(axis=1) | (model.geom_rbound == 0)  # a plane has no end
+        return inside
 
     def _need(self, height: int, width: int) -> mujoco.MjrContext:
-        gl = _gl_context(1024, 1024)
-        gl.make_current()  # somebody else in this process may have drawn meanwhile
+        _gl_context().make_current()  # somebody else in this process may have drawn meanwhile
         if self._context is None or height > self._size[0] or width > self._size[1]:
-            self._size = (max(height, self._size[0], 128), max(width, self._size[1], 128))
+            self._size = max(height, self._size[0]), max(width, self._size[1])
             self._model.vis.global_.offheight, self._model.vis.global_.offwidth = self._size
             if self._context is not None:
                 self._context.free()
             self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_50)
-            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+            _sample_one_level(self._context)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)  # each context has its own
         return self._context
 
 
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _put_before(image: Any, depth: Any, behind: Any, far: Any) -> None:
+    """Fill `image` with what is behind it, wherever that is not farther."""
+    for y in range(len(depth)):
+        for x in range(depth.shape[1]):
+            if depth[y, x] >= far[y, x]:
+                for c in range(3):
+                    image[y, x, c] = behind[y, x, c]
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _halve(fine: Any, image: Any) -> None:
+    """Mean over 2 x 2 pixels of (2 h, 2 w, 3), whose rows go bottom-up as OpenGL's do, into (h, w, 3)."""
+    height, width, _ = image.shape
+    for y in range(height):
+        low = 2 * (height - 1 - y)
+        for x in range(width):
+            for c in range(3):
+                total = np.int32(fine[low, 2 * x, c]) + fine[low, 2 * x + 1, c]
+                total += np.int32(fine[low + 1, 2 * x, c]) + fine[low + 1, 2 * x + 1, c]
+                image[y, x, c] = (total + 2) >> 2
+
+
+def _sample_one_level(context: mujoco.MjrContext) -> None:
+    """Textures from the nearest of their sizes, not blended from two: a fifth of the time, and nothing to be seen."""
+    from OpenGL import GL
+
+    for name, kind in zip(context.texture[: context.ntexture], context.textureType, strict=False):
+        target = GL.GL_TEXTURE_2D if kind == mujoco.mjtTexture.mjTEXTURE_2D else GL.GL_TEXTURE_CUBE_MAP
+        GL.glBindTexture(target, int(name))
+        GL.glTexParameteri(target, GL.GL_TEXTURE_MIN_FILTER, GL.GL_LINEAR_MIPMAP_NEAREST)
+        GL.glBindTexture(target, 0)
+
+
 @functools.cache
-def _gl_context(width: int, height: int) -> Any:
+def _gl_context() -> Any:
     platform = os.environ.setdefault("MUJOCO_GL", "egl").lower()
     try:
         # Not `mujoco.gl_context`, which chose when mujoco was first imported, perhaps before we could say egl.
         name = {"egl": "mujoco.egl", "osmesa": "mujoco.osmesa"}.get(platform, "mujoco.gl_context")
-        context = importlib.import_module(name).GLContext(width, height)
+        context = importlib.import_module(name).GLContext(64, 64)
         context.make_current()
         atexit.register(context.free)  # while the modules that it needs to be freed are still there
     except Exception as error:
@@ -102,38 +210,3 @@ def _gl_context(width: int, height: int) -> Any:
             "or collect without images and render where there is one; `playlearn doctor` checks"
         ) from error
     return context
-
-
-def _simplified(xml: str, faces: int) -> mujoco.MjSpec:
-    """The scene with the triangles of every mesh that is only looked at replaced by about `faces` in all."""
-    spec = mujoco.MjSpec.from_string(xml)
-    full = mujoco.MjModel.from_xml_string(xml)
-    touched = {geom.meshname for geom in spec.geoms if geom.meshname and (geom.contype or geom.conaffinity)}
-    counts = {mesh.name: int(full.mesh(mesh.name).facenum[0]) for mesh in spec.meshes}
-    drawn = {geom.meshname for geom in spec.geoms if geom.meshname and geom.group == VISUAL_GROUP} - touched
-    total = sum(counts[name] for name in drawn)
-    for mesh in spec.meshes:
-        if mesh.name not in drawn or total <= faces:
-            continue
-        share = max(60, int(faces * counts[mesh.name] / total))
-        if share >= counts[mesh.name]:
-            continue
-        ident = full.mesh(mesh.name).id
-        v0, vn = full.mesh_vertadr[ident], full.mesh_vertnum[ident]
-        f0, fn = full.mesh_faceadr[ident], full.mesh_facenum[ident]
-        # Files split vertices at seams; welded, a surface can be thinned without tearing it.
-        welded, inverse = np.unique(full.mesh_vert[v0 : v0 + vn].round(6), axis=0, return_inverse=True)
-        vertices, triangles = fast_simplification.simplify(
-            welded.astype(np.float32), inverse.ravel()[full.mesh_face[f0 : f0 + fn]], target_count=share
-        )
-        # The compiled vertices stand in the mesh's own inertial frame: put them back where the file had them.
-        rotation = np.empty(9)
-        mujoco.mju_quat2Mat(rotation, full.mesh_quat[ident])
-        vertices = vertices @ rotation.reshape(3, 3).T + full.mesh_pos[ident]
-        mesh.file = ""
-        mesh.scale = [1, 1, 1]
-        mesh.refpos, mesh.refquat = [0, 0, 0], [1, 0, 0, 0]
-        mesh.uservert = vertices.astype(np.float32).ravel()
-        mesh.userface = triangles.astype(np.int32).ravel()
-        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-    return spec

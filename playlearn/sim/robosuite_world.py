@@ -52,7 +52,6 @@ class RobosuiteWorld:
         build: Callable[[], Any],
         achieved_names: Sequence[str],
         cameras: Mapping[str, CameraConfig],
-        faces: int,
         extra: int,
         paint: Callable[[mujoco.MjModel, Array], None],
     ) -> None:
@@ -95,7 +94,8 @@ class RobosuiteWorld:
         self._gripper: Array = np.zeros(len(self._gripper_ctrl))
         self.extra = np.zeros(extra)
         self._cameras = dict(cameras)
-        self._draw = _Drawing(self._xml, faces, paint)
+        self._paint = paint
+        self._renderer = Renderer(self._xml, self._home, paint)
         self.spec = EnvironmentSpec(
             state_names=STATE_NAMES,
             achieved_names=tuple(achieved_names),
@@ -211,10 +211,18 @@ class RobosuiteWorld:
 
     def render(self, camera: str, height: int | None = None, width: int | None = None) -> Array:
         size = self._cameras.get(camera, CameraConfig())
-        return self._draw(self.data.qpos, self._shown(), camera, height or size.height, width or size.width)
+        return self._renderer.draw(self.data.qpos, self._shown(), camera, height or size.height, width or size.width)
 
     def renderer(self) -> str:
-        return self._draw.backend()
+        return self._renderer.backend()
+
+    def scene(self) -> mujoco.MjModel:
+        """All of the scene, newly compiled: what is only looked at too, with its meshes as robosuite has them."""
+        return mujoco.MjModel.from_xml_string(self._xml)
+
+    def paint(self, model: mujoco.MjModel) -> None:
+        """Show on a model of this scene what is kept beside MuJoCo's state: a lit lamp, a door's place."""
+        self._paint(model, self._shown())
 
     def close(self) -> None:
         """Nothing to give back: the GL context belongs to the process."""
@@ -263,27 +271,6 @@ class RobosuiteWorld:
 
     def _geom_id(self, name: str) -> int:
         return int(self.model.geom(name).id)
-
-
-class _Drawing:
-    """The renderer, made at the first image, shared by all clones."""
-
-    def __init__(self, xml: str, faces: int, paint: Callable[[mujoco.MjModel, Array], None]) -> None:
-        self._parts = (xml, faces, paint)
-        self._renderer: Renderer | None = None
-
-    def __call__(self, qpos: Array, extra: Array, camera: str, height: int, width: int) -> Array:
-        renderer = self._ready()
-        renderer.set_state(qpos, extra)
-        return renderer.draw(camera, height, width)
-
-    def backend(self) -> str:
-        return self._ready().backend()
-
-    def _ready(self) -> Renderer:
-        if self._renderer is None:
-            self._renderer = Renderer(*self._parts)
-        return self._renderer
 
 
 def _placed(xml: str, ours: mujoco.MjModel, theirs: mujoco.MjModel) -> str:

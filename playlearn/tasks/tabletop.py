@@ -37,7 +37,7 @@ class View:
 class TabletopConfig(EnvironmentConfig):
     """robot: any single-arm robosuite robot. gripper: one of robosuite's; "default" is the robot's own.
 
-    cameras: name -> size of the images. faces: visual meshes are simplified to about so many triangles in all.
+    cameras: name -> size of the images.
     """
 
     robot: str = "Panda"
@@ -45,7 +45,6 @@ class TabletopConfig(EnvironmentConfig):
     cameras: dict[str, CameraConfig] = field(
         default_factory=lambda: {"front": CameraConfig(84, 84), "wrist": CameraConfig(84, 84)}
     )
-    faces: int = 12_000
 
 
 class TabletopWorld(RobosuiteWorld):
@@ -103,7 +102,7 @@ class TabletopWorld(RobosuiteWorld):
             if paint is not None:
                 paint(model, kept[7 * len(bodies) :])
 
-        super().__init__(build, achieved_names, config.cameras, config.faces, extra + 7 * len(bodies), show)
+        super().__init__(build, achieved_names, config.cameras, extra + 7 * len(bodies), show)
         self._absent, self._standing, self._stands = tuple(absent), tuple(standing), bodies
 
     def achieved(self) -> Array:

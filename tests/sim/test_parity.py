@@ -32,7 +32,7 @@ class Bare(RobosuiteWorld):
             self.theirs.rng = np.random.default_rng(0)  # from the next reset on
             return self.theirs
 
-        super().__init__(build, ("none",), {}, 1000, 0, lambda _model, _extra: None)
+        super().__init__(build, ("none",), {}, 0, lambda _model, _extra: None)
         self.cube = {"Lift": "cube_main", "Stack": "cubeA_main"}[task]
 
     def _achieved(self) -> np.ndarray:

@@ -250,6 +250,8 @@ class PlayTable(ManipulationEnv):  # type: ignore[misc]
             mujoco_robots=[self.robots[0].robot_model],
             mujoco_objects=list(self.blocks.values()),
         )
+        # A full headlight beside robosuite's lamp bleaches the white table.
+        ElementTree.SubElement(self.model.root.find("visual"), "headlight", {"diffuse": "0.25 0.25 0.25"})
 
     def _check_success(self) -> bool:
         return False

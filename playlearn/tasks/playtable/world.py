@@ -61,7 +61,6 @@ _LAMPS = {  # unlit and lit
 class PlayTableConfig(EnvironmentConfig):
     """robot: any single-arm robosuite robot. cameras: name -> size of the images.
 
-    faces: visual meshes are simplified to about so many triangles in all.
     stacked, stowed, shelved: share of random starts with one block on another, in the drawer, in the slider's bay.
     """
 
@@ -69,7 +68,6 @@ class PlayTableConfig(EnvironmentConfig):
     cameras: dict[str, CameraConfig] = field(
         default_factory=lambda: {"front": CameraConfig(64, 96), "wrist": CameraConfig(64, 64)}
     )
-    faces: int = 12_000
     stacked: float = 0.2
     stowed: float = 0.2
     shelved: float = 0.25
@@ -93,7 +91,7 @@ class PlayTableWorld(RobosuiteWorld):
                 robots=config.robot, has_renderer=False, has_offscreen_renderer=False, use_camera_obs=False
             )
 
-        super().__init__(build, ACHIEVED_NAMES, config.cameras, config.faces, 2, _paint)
+        super().__init__(build, ACHIEVED_NAMES, config.cameras, 2, _paint)
         self.tasks: Mapping[str, Task] = playtable_tasks()
         joint = {name: self.model.joint(f"{name}_joint0") for name in BLOCK_NAMES}
         self._block_qpos = {name: int(joint[name].qposadr[0]) for name in BLOCK_NAMES}

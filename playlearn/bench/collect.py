@@ -1,0 +1,95 @@
+"""Play recorded into a store: steps a second of the whole command, beside robosuite's loop and its own parts."""
+
+import tempfile
+import time
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from playlearn.bench.base import Figure, Size, benchmark, rates, timed
+from playlearn.bench.worlds import SEED, SIDE, Pair, actions, pairs
+from playlearn.collect import CollectConfig, play
+from playlearn.collect import collect as collect_store
+from playlearn.sim import CameraConfig
+from playlearn.store import write_episode
+from playlearn.tasks import PlayTableConfig
+
+CAMERAS = ("front", "wrist")
+
+
+@benchmark("collect")
+def collecting(size: Size) -> list[Figure]:
+    """PlayTable, with two cameras and with none, in one process; then two processes beside one."""
+    figures = []
+    for cameras in (CAMERAS, ()):
+        pair = next(pairs(images=bool(cameras)))
+        config = _config(cameras, size)
+        with tempfile.TemporaryDirectory() as folder:
+            out = Path(folder) / "play"
+            collect_store(_config(cameras, size, episodes=1), out, workers=0)
+            measured = rates(
+                {
+                    "ours": partial(_ours, config, out),
+                    "peer": partial(_peer, pair, size),
+                    "limit": partial(_parts, pair, cameras, size),
+                },
+                size.rounds,
+            )
+        seen = f"two cameras of {SIDE} px" if cameras else "no camera"
+        figures.append(
+            Figure.beside(
+                f"collect, {seen}",
+                "steps/s",
+                measured,
+                "robosuite env.step, nothing stored",
+                "stepping and drawing alone",
+            )
+        )
+    figures.append(_two_workers(size))
+    return figures
+
+
+def _config(cameras: Sequence[str], size: Size, episodes: int = 1) -> CollectConfig:
+    world = PlayTableConfig(cameras={name: CameraConfig(SIDE, SIDE) for name in CAMERAS})
+    return CollectConfig(environment=world, cameras=tuple(cameras), episodes=episodes, steps=size.steps, seed=SEED)
+
+
+def _ours(config: CollectConfig, out: Path) -> tuple[int, float]:
+    began = time.perf_counter()
+    episode = play(config, 0)
+    write_episode(out, 0, episode)
+    return len(episode), time.perf_counter() - began
+
+
+def _peer(pair: Pair, size: Size) -> tuple[int, float]:
+    pair.peer.reset()
+    planned = actions(size.steps)
+    return size.steps, timed(lambda: [pair.peer.step(action) for action in planned])
+
+
+def _parts(pair: Pair, cameras: Sequence[str], size: Size) -> tuple[int, float]:
+    pair.ours.reset(SEED)
+    seconds = 0.0
+    for action in actions(size.steps):
+        began = time.perf_counter()
+        pair.ours.step(action)
+        for camera in cameras:
+            pair.ours.render(camera, SIDE, SIDE)
+        seconds += time.perf_counter() - began
+    return size.steps, seconds
+
+
+def _two_workers(size: Size) -> Figure:
+    """The whole command with images, starting included; the peer is the same with one worker."""
+
+    def of(workers: int) -> tuple[int, float]:
+        config = _config(CAMERAS, size, episodes=4 * size.rounds)
+        with tempfile.TemporaryDirectory() as folder:
+            began = time.perf_counter()
+            collect_store(config, Path(folder) / "play", workers=workers)
+            return config.episodes * config.steps, time.perf_counter() - began
+
+    (steps, two), (_, one) = of(2), of(1)
+    return Figure.beside(
+        "collect, two workers", "steps/s", {"ours": steps / two, "peer": steps / one}, "one worker, the same command"
+    )

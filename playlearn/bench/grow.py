@@ -1,0 +1,53 @@
+"""Whether a store's thousandth episode costs what its first did, in time and in memory."""
+
+import gc
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from playlearn.bench.base import Figure, Size, benchmark
+from playlearn.collect import CollectConfig, collect, play
+from playlearn.store import NativeStore
+from playlearn.tasks import PlayTableConfig
+
+PART = 50
+STEPS = 10
+
+
+@benchmark("grow")
+def growing(size: Size) -> list[Figure]:
+    """Episodes a second and memory of the last PART episodes of many; the peer is the first PART of the same store."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "play"
+        config = CollectConfig(environment=PlayTableConfig(), episodes=1, steps=STEPS)
+        collect(config, out, workers=0)
+        store = NativeStore.open(out)
+        seconds, memory = [], []
+        with store.writer() as writer:
+            for index in range(1, size.episodes + 1):
+                began = time.perf_counter()
+                writer.append(play(config, index), index)
+                seconds.append(time.perf_counter() - began)
+                memory.append(_resident())
+        gc.collect()
+    part = min(PART, len(seconds) // 2)
+    # The median: one episode in ten draws its start state twice or more.
+    first, last = (1 / float(np.median(own)) for own in (seconds[:part], seconds[-part:]))
+    before, after = (float(np.median(own)) for own in (memory[part : 2 * part], memory[-part:]))
+    return [
+        Figure.beside(
+            f"episodes {size.episodes - part} to {size.episodes} of one store",
+            "episodes/s",
+            {"ours": last, "peer": first},
+            f"its first {part}",
+        ),
+        Figure.beside("memory by then", "MiB", {"ours": after, "peer": before}, f"after {2 * part} episodes"),
+    ]
+
+
+def _resident() -> float:
+    """MiB of memory that this process holds."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * 4096 / 2**20

@@ -1,0 +1,175 @@
+"""Images a second on whatever draws here, beside robosuite's own, and how alike they look."""
+
+import time
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from PIL import Image
+from scipy.ndimage import gaussian_filter
+
+from playlearn.bench.base import Figure, Size, benchmark, rates
+from playlearn.bench.worlds import SEED, SIDE, Pair, actions, pairs
+from playlearn.episode import Array
+from playlearn.sim.lean import VISUAL_GROUP
+
+FINE = 8  # the full-quality image is drawn so many times as large and averaged down
+COLLISION_GROUP = 0
+COMPARED = 8  # states whose images are compared
+
+
+@benchmark("render")
+def rendering(size: Size) -> list[Figure]:
+    """PlayTable and Lift, two cameras of SIDE pixels, one process.
+
+    The limit draws collision geoms only, plainly. The last figures are SSIM (1: the same) between our image
+    and the full scene, drawn FINE times as large with every face, multisampling and shadows, averaged down.
+    """
+    figures = []
+    for pair in pairs(images=True):
+        states = _walk(pair, size.steps)
+        bare = _Plain(pair, COLLISION_GROUP, SIDE)
+        measured = rates(
+            {
+                "ours": partial(_ours, pair, states),
+                "peer": partial(_peer, pair, states[: max(4, len(states) // 10)]),
+                "limit": partial(bare.drawn, states),
+            },
+            size.rounds,
+        )
+        figures.append(
+            Figure.beside(
+                f"{pair.name}: two {SIDE}x{SIDE} images",
+                "images/s",
+                measured,
+                "robosuite render",
+                "collision geoms only",
+            )
+        )
+        figures += _likeness(pair, states, size.out)
+    return figures
+
+
+def ssim(one: Array, other: Array) -> float:
+    """Structural similarity of two (h, w, 3) uint8 images (Wang et al. 2004; Gaussian window of 1.5 pixels)."""
+
+    def blurred(values: Array) -> Array:
+        smooth: Array = gaussian_filter(values, (1.5, 1.5, 0), truncate=3.5)
+        return smooth
+
+    a, b = one.astype(float), other.astype(float)
+    c1, c2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
+    mean_a, mean_b = blurred(a), blurred(b)
+    var_a, var_b = blurred(a * a) - mean_a**2, blurred(b * b) - mean_b**2
+    both = blurred(a * b) - mean_a * mean_b
+    alike = (2 * mean_a * mean_b + c1) * (2 * both + c2) / ((mean_a**2 + mean_b**2 + c1) * (var_a + var_b + c2))
+    return float(alike.mean())
+
+
+def _walk(pair: Pair, steps: int) -> list[Array]:
+    """Simulator states of ours along a walk."""
+    pair.ours.reset(SEED)
+    states = []
+    for action in actions(steps):
+        pair.ours.step(action)
+        states.append(pair.ours.sim_state())
+    return states
+
+
+def _ours(pair: Pair, states: Sequence[Array]) -> tuple[int, float]:
+    seconds = 0.0
+    for state in states:
+        pair.ours.set_state(state)
+        began = time.perf_counter()
+        for camera in pair.cameras:
+            pair.ours.render(camera, SIDE, SIDE)
+        seconds += time.perf_counter() - began
+    return len(states) * len(pair.cameras), seconds
+
+
+def _peer(pair: Pair, states: Sequence[Array]) -> tuple[int, float]:
+    sim, seconds = pair.peer.sim, 0.0
+    for state in states:
+        pair.ours.set_state(state)
+        sim.data.qpos[:] = pair.ours.data.qpos
+        sim.forward()
+        began = time.perf_counter()
+        for camera in pair.peer_cameras:
+            sim.render(camera_name=camera, width=SIDE, height=SIDE)
+        seconds += time.perf_counter() - began
+    return len(states) * len(pair.peer_cameras), seconds
+
+
+class _Plain:
+    """`mujoco.Renderer` on the scene as robosuite has it, showing one group of geoms; plain: no shadow, no smoothing."""
+
+    def __init__(self, pair: Pair, group: int, side: int, *, plain: bool = True) -> None:
+        self._world, self._model = pair.ours, pair.ours.scene()
+        self._cameras, self._data = pair.cameras, mujoco.MjData(self._model)
+        self._model.vis.global_.offwidth = self._model.vis.global_.offheight = side
+        self._model.vis.quality.offsamples = 0 if plain else 4
+        self._renderer: Any = mujoco.Renderer(self._model, side, side)
+        self._option = mujoco.MjvOption()
+        self._option.geomgroup[:] = 0
+        self._option.geomgroup[group] = 1
+        self._option.sitegroup[:] = 0
+        if plain:
+            self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
+            self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
+
+    def image(self, camera: str) -> Array:
+        """Of the state that the world is in."""
+        self._place()
+        return self._draw(camera)
+
+    def drawn(self, states: Sequence[Array]) -> tuple[int, float]:
+        seconds = 0.0
+        for state in states:
+            self._world.set_state(state)
+            self._place()
+            began = time.perf_counter()
+            for camera in self._cameras:
+                self._draw(camera)
+            seconds += time.perf_counter() - began
+        return len(states) * len(self._cameras), seconds
+
+    def _place(self) -> None:
+        self._world.paint(self._model)
+        self._data.qpos[:] = self._world.data.qpos
+        mujoco.mj_forward(self._model, self._data)
+
+    def _draw(self, camera: str) -> Array:
+        self._renderer.update_scene(self._data, camera, self._option)
+        image: Array = self._renderer.render()
+        return image
+
+
+def _likeness(pair: Pair, states: Sequence[Array], out: Path | None) -> list[Figure]:
+    fine = _Plain(pair, VISUAL_GROUP, FINE * SIDE, plain=False)
+    chosen = [states[i] for i in np.linspace(0, len(states) - 1, COMPARED).astype(int)]
+    figures = []
+    strips = []
+    for camera in pair.cameras:
+        ours, full = [], []
+        for state in chosen:
+            pair.ours.set_state(state)
+            ours.append(pair.ours.render(camera, SIDE, SIDE))
+            full.append(_averaged(fine.image(camera)))
+        alike = float(np.mean([ssim(one, other) for one, other in zip(ours, full, strict=True)]))
+        figures.append(Figure(f"{pair.name}: likeness, {camera}", alike, "SSIM"))
+        strips += [np.concatenate(ours[:4], axis=1), np.concatenate(full[:4], axis=1)]
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        sheet = Image.fromarray(np.concatenate(strips))
+        sheet.resize((2 * sheet.width, 2 * sheet.height), Image.Resampling.NEAREST).save(out / f"{pair.name}.png")
+    return figures
+
+
+def _averaged(image: Array) -> Array:
+    """(FINE h, FINE w, 3) -> (h, w, 3), each pixel the mean of those it covers."""
+    blocks = image.reshape(image.shape[0] // FINE, FINE, image.shape[1] // FINE, FINE, 3)
+    mean: Array = blocks.mean(axis=(1, 3)).round().astype(np.uint8)
+    return mean

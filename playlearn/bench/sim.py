@@ -1,0 +1,61 @@
+"""Control steps a second without images: ours, robosuite's `env.step`, and what physics alone would allow."""
+
+import time
+from functools import partial
+
+import mujoco
+
+from playlearn.bench.base import Figure, Size, benchmark, rates, timed
+from playlearn.bench.worlds import SEED, Pair, actions, pairs
+
+
+@benchmark("sim")
+def stepping(size: Size) -> list[Figure]:
+    """PlayTable and Lift, one process; the limit is `mj_step` alone, from the very states that ours passes through."""
+    figures = []
+    for pair in pairs(images=False):
+        measured = rates({"ours": partial(_ours, pair, size), "peer": partial(_peer, pair, size)}, size.rounds)
+        measured["limit"] = _limit(pair, size)
+        figures.append(
+            Figure.beside(f"{pair.name}: control steps", "steps/s", measured, "robosuite env.step", "mj_step alone")
+        )
+    return figures
+
+
+def _ours(pair: Pair, size: Size) -> tuple[int, float]:
+    pair.ours.reset(SEED)
+    planned = actions(size.steps)
+
+    def work() -> None:
+        for action in planned:
+            pair.ours.step(action)
+            pair.ours.observe()
+
+    return size.steps, timed(work)
+
+
+def _peer(pair: Pair, size: Size) -> tuple[int, float]:
+    pair.peer.reset()
+    planned = actions(size.steps)
+
+    def work() -> None:
+        for action in planned:
+            pair.peer.step(action)
+
+    return size.steps, timed(work)
+
+
+def _limit(pair: Pair, size: Size) -> float:
+    """Control steps a second of physics alone: each state of a walk of ours, one period on with the controls held."""
+    world = pair.ours
+    substeps = round(1 / world.spec.fps / world.model.opt.timestep)
+    world.reset(SEED)
+    seconds = 0.0
+    for action in actions(size.steps):
+        world.step(action)
+        after = world.sim_state()
+        began = time.perf_counter()
+        mujoco.mj_step(world.model, world.data, substeps)
+        seconds += time.perf_counter() - began
+        world.set_state(after)
+    return size.steps / seconds

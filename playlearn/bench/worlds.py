@@ -1,0 +1,74 @@
+"""What is compared: worlds of ours beside the robosuite environment of the same scene."""
+
+import contextlib
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from playlearn.episode import Array
+from playlearn.sim.robosuite_world import RobosuiteWorld
+from playlearn.tasks import PlayTableConfig
+from playlearn.tasks.lift import LiftConfig
+
+SEED = 0
+SIDE = 84  # pixels, the size that robosuite's own benchmarks and robomimic use
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """ours and peer show the same scene; cameras are ours, peer_cameras robosuite's nearest to them."""
+
+    name: str
+    ours: RobosuiteWorld
+    peer: Any
+    cameras: tuple[str, ...]
+    peer_cameras: tuple[str, ...]
+
+
+def pairs(*, images: bool) -> Iterator[Pair]:
+    """PlayTable and Lift; with `images` the peer draws both cameras at every step."""
+    import robosuite
+
+    from playlearn.tasks.playtable.scene import PlayTable
+
+    def peer(make: Any, cameras: list[str]) -> Any:
+        seeing = {"use_camera_obs": True, "camera_names": cameras, "camera_heights": SIDE, "camera_widths": SIDE}
+        with _quiet():
+            made = make(
+                robots="Panda",
+                has_renderer=False,
+                has_offscreen_renderer=images,
+                ignore_done=True,
+                **(seeing if images else {"use_camera_obs": False}),
+            )
+            made.reset()
+        return made
+
+    world = PlayTableConfig().build()
+    yield Pair("playtable", world, peer(PlayTable, ["front", "wrist"]), ("front", "wrist"), ("front", "wrist"))
+    lift = LiftConfig().build()
+    stock = ["agentview", "robot0_eye_in_hand"]
+    made = peer(lambda **kwargs: robosuite.make("Lift", **kwargs), stock)
+    yield Pair("lift", lift, made, tuple(lift.spec.cameras), tuple(stock))
+
+
+def actions(steps: int) -> Array:
+    """(steps, 7) smooth random actions of a hand that wanders, opens and closes."""
+    rng = np.random.default_rng(SEED)
+    drift: Array = np.zeros(6)
+    made = np.empty((steps, 7))
+    for t in range(steps):
+        drift = 0.9 * drift + 0.44 * rng.normal(0, 0.3, 6)
+        made[t, :6], made[t, 6] = np.clip(drift, -1, 1), 1.0 if t // 20 % 2 else -1.0
+    made[:, 3:6] *= 0.3
+    return made
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield

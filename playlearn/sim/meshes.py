@@ -1,0 +1,172 @@
+"""Surfaces with fewer triangles, none farther from the original than a small image can show.
+
+Points are merged into neighbours, cheapest first, while the quadric error (Garland and Heckbert, 1997) of the
+merged point, as a distance, stays within a tolerance. A point only ever moves onto another one, so that what is
+left keeps its place and its normal; an open border only shrinks along itself.
+"""
+
+from typing import Any
+
+import numba
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from playlearn.episode import Array
+
+_BORDER_WEIGHT = 10.0
+_STEEPEST = 0.25  # cosine between a triangle's normals before and after a merger
+_WORTHWHILE = 0.99  # another round as long as the last one left so much or less
+_INNER, _BORDER, _FIXED = 0, 1, 2
+
+
+def simplify(vertices: Array, faces: Array, tolerance: float) -> tuple[Array, Array]:
+    """Fewer faces (k, 3) over some of the same vertices (n, 3), within about `tolerance` of the faces (m, 3).
+
+    Vertices that stand within a hundredth of the tolerance of each other count as one; the second array (n,) says
+    which stands for each. Pieces that are smaller than the tolerance vanish, and there may be nothing left.
+    """
+    cells = np.round(vertices / (tolerance / 100)).astype(np.int64)
+    cells -= cells.min(axis=0)
+    spans = cells.max(axis=0) + 1
+    _, first, point = np.unique(
+        (cells[:, 0] * spans[1] + cells[:, 1]) * spans[2] + cells[:, 2], return_index=True, return_inverse=True
+    )
+    points = np.ascontiguousarray(vertices[first], np.float64)
+    kept = _whole(point.astype(np.int64)[faces])
+    quadrics = _quadrics(points, kept)
+    before = np.inf
+    while len(kept) < _WORTHWHILE * before:
+        before = len(kept)
+        kept = _whole(_merge(points, kept, quadrics, tolerance**2)[kept])
+    return first[_without_specks(points, kept, tolerance)], first[point]
+
+
+def _whole(faces: Array) -> Array:
+    """Without the faces that have collapsed to a line."""
+    a, b, c = faces.T
+    whole: Array = faces[(a != b) & (b != c) & (c != a)]
+    return whole
+
+
+def _without_specks(points: Array, faces: Array, size: float) -> Array:
+    """Without connected pieces whose box is smaller than `size` in every direction."""
+    ends = faces[:, [0, 0]].ravel(), faces[:, [1, 2]].ravel()
+    count, piece = connected_components(coo_array((np.ones(len(ends[0])), ends), [len(points)] * 2), directed=False)
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, piece[faces].ravel(), points[faces.ravel()])
+    np.maximum.at(high, piece[faces].ravel(), points[faces.ravel()])
+    large: Array = faces[(high - low).max(axis=1)[piece[faces[:, 0]]] >= size]
+    return large
+
+
+def _open_edges(faces: Array, size: int) -> Array:
+    """(m, 3): whether no face runs along edge k of a face, from corner k to the next, in the other direction."""
+    after = np.roll(faces, -1, axis=1)
+    return ~np.isin(after * size + faces, faces * size + after)
+
+
+def _quadrics(points: Array, faces: Array) -> Array:
+    """(n, 11): for each point, what `_squared_distance` reads, of its faces' planes and of walls on open edges."""
+    corners = points[faces]  # (m, 3, 3)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normal, axis=1)
+    normal /= np.maximum(area, 1e-300)[:, None]
+    planes = _planes(normal, corners[:, 0], np.sqrt(area))
+    quadrics = np.zeros((len(points), 11))
+    for k in range(3):
+        np.add.at(quadrics, faces[:, k], planes)
+    face, edge = np.nonzero(_open_edges(faces, len(points)))
+    begin, end = faces[face, edge], faces[face, (edge + 1) % 3]
+    along = points[end] - points[begin]
+    length = np.linalg.norm(along, axis=1)
+    wall = np.cross(along / np.maximum(length, 1e-300)[:, None], normal[face])
+    walls = _planes(wall, points[begin], _BORDER_WEIGHT * length)
+    np.add.at(quadrics, begin, walls)
+    np.add.at(quadrics, end, walls)
+    return quadrics
+
+
+def _planes(normal: Array, through: Array, weight: Array) -> Array:
+    """(m, 11): xx xy xz yy yz zz | x y z | 1 of a plane's squared distance, and 1, all times its weight."""
+    x, y, z = normal.T
+    d = -(normal * through).sum(axis=1)
+    return (
+        np.stack([x * x, x * y, x * z, y * y, y * z, z * z, x * d, y * d, z * d, d * d, d * 0 + 1], 1) * weight[:, None]
+    )
+
+
+def _squared_distance(quadric: Array, point: Array) -> Array:
+    """(m,): the mean squared distance of points (m, 3) to the planes of quadrics (m, 11)."""
+    x, y, z = point.T
+    q = quadric.T
+    value = q[0] * x * x + q[3] * y * y + q[5] * z * z + q[9]
+    value = value + 2 * (q[1] * x * y + q[2] * x * z + q[4] * y * z + q[6] * x + q[7] * y + q[8] * z)
+    distance: Array = np.abs(value) / np.maximum(q[10], 1e-300)
+    return distance
+
+
+def _merge(points: Array, faces: Array, quadrics: Array, limit: float) -> Array:
+    """One round of mergers that do not touch each other: point -> point (n,)."""
+    size = len(points)
+    open_edge = _open_edges(faces, size)
+    after = np.roll(faces, -1, axis=1)
+    leaving = np.bincount(faces[open_edge], minlength=size)
+    coming = np.bincount(after[open_edge], minlength=size)
+    kind = np.full(size, _FIXED)
+    kind[(leaving == 1) & (coming == 1)] = _BORDER
+    kind[(leaving == 0) & (coming == 0)] = _INNER
+    source = np.concatenate([faces.ravel(), after.ravel()])
+    target = np.concatenate([after.ravel(), faces.ravel()])
+    free = (kind[source] == _INNER) | ((kind[source] == _BORDER) & np.tile(open_edge.ravel(), 2))
+    source, target = source[free], target[free]
+    cost = _squared_distance(quadrics[source], points[target])
+    order = np.argsort(cost, kind="stable")
+    order = order[: np.searchsorted(cost[order], limit, side="right")]
+    remap = np.arange(size)
+    if not len(order):
+        return remap
+    # The cheapest first, and the others again once these are done: their neighbourhood will have changed.
+    enough = 1.5 * cost[order[len(order) // 3]]
+    around = np.argsort(faces.ravel(), kind="stable") // 3
+    start = np.concatenate([[0], np.cumsum(np.bincount(faces.ravel(), minlength=size))])
+    _merge_in_order(points, faces, start, around, source[order], target[order], cost[order], enough, remap)
+    moved = np.flatnonzero(remap != np.arange(size))
+    quadrics[remap[moved]] += quadrics[moved]  # no two onto the same point
+    return remap
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _merge_in_order(
+    points: Any, faces: Any, start: Any, around: Any, source: Any, target: Any, cost: Any, enough: float, remap: Any
+) -> None:
+    """Fill `remap`. The faces at point i are around[start[i]:start[i + 1]]."""
+    touched = np.zeros(len(points), np.bool_)
+    for n in range(len(source)):
+        if cost[n] > enough:
+            break
+        i, j = source[n], target[n]
+        if touched[i] or touched[j] or _flips(points, faces, around[start[i] : start[i + 1]], remap, i, j):
+            continue
+        remap[i] = j
+        touched[i] = touched[j] = True
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _flips(points: Any, faces: Any, around: Any, remap: Any, i: int, j: int) -> bool:
+    """Whether moving point i onto j would turn one of the faces at i over."""
+    for f in around:
+        a, b, c = remap[faces[f, 0]], remap[faces[f, 1]], remap[faces[f, 2]]
+        if j in (a, b, c) or a == b or b == c or c == a:
+            continue  # it vanishes
+        while a != i:
+            a, b, c = b, c, a
+        x, y, z = points[b, 0] - points[i, 0], points[b, 1] - points[i, 1], points[b, 2] - points[i, 2]
+        ex, ey, ez = points[c, 0] - points[b, 0], points[c, 1] - points[b, 1], points[c, 2] - points[b, 2]
+        nx, ny, nz = y * ez - z * ey, z * ex - x * ez, x * ey - y * ex  # the normal before
+        x, y, z = points[b, 0] - points[j, 0], points[b, 1] - points[j, 1], points[b, 2] - points[j, 2]
+        mx, my, mz = y * ez - z * ey, z * ex - x * ez, x * ey - y * ex  # and after
+        sizes = (nx * nx + ny * ny + nz * nz) * (mx * mx + my * my + mz * mz)
+        if nx * mx + ny * my + nz * mz <= _STEEPEST * np.sqrt(sizes):
+            return True
+    return False

@@ -1,0 +1,83 @@
+"""Benchmarks measure what they say; the figures themselves are no test's business."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from playlearn.bench import BENCHMARKS, Figure, Size, run
+from playlearn.bench.base import rates
+from playlearn.bench.render import ssim
+from playlearn.bench.worlds import actions
+from playlearn.cli import main
+from playlearn.errors import UsageError
+
+TINY = Size(steps=4, rounds=1, episodes=4)
+
+
+@pytest.mark.parametrize("name", sorted(BENCHMARKS))
+def test_every_figure_is_beside_its_peer_and_its_limit(name: str, tmp_path: Path) -> None:
+    heard: list[Figure] = []
+    figures = run([name], Size(TINY.steps, TINY.rounds, TINY.episodes, tmp_path), heard.append)
+    assert heard == figures
+    assert figures
+    for figure in figures:
+        assert math.isfinite(figure.value)
+        assert figure.value > 0
+        for other, share in ((figure.peer_value, figure.ratio), (figure.limit_value, figure.of_limit)):
+            assert (other is None) == (share is None)
+            assert other is None or share == pytest.approx(figure.value / other)
+        assert figure.line().startswith(figure.name)
+    if name == "render":
+        alike = [figure for figure in figures if figure.unit == "SSIM"]
+        assert len(alike) == 4  # two worlds, two cameras
+        assert min(figure.value for figure in alike) > 0.85  # a wrong light or a missing part is worse than this
+        assert {path.name for path in tmp_path.iterdir()} == {"playtable.png", "lift.png"}
+
+
+def test_rates_are_medians_and_the_first_turn_only_warms_up() -> None:
+    seconds = iter([100.0, 1.0, 2.0, 4.0])
+    assert rates({"ours": lambda: (8, next(seconds))}, rounds=3) == {"ours": 4.0}
+
+
+def test_ssim_of_an_image_with_itself_is_one_and_falls_with_what_is_lost() -> None:
+    rng = np.random.default_rng(0)
+    image = rng.integers(0, 256, (32, 32, 3), dtype=np.uint8)
+    assert ssim(image, image) == pytest.approx(1.0)
+    brighter = np.clip(image.astype(int) + 20, 0, 255).astype(np.uint8)
+    assert ssim(image, image[::-1]) < 0.3 < ssim(image, brighter) < 1.0
+
+
+def test_the_same_walk_for_everybody_within_bounds() -> None:
+    np.testing.assert_array_equal(actions(50), actions(50))
+    assert np.abs(actions(200)).max() <= 1
+
+
+def test_an_unknown_benchmark_is_named_with_the_nearest() -> None:
+    with pytest.raises(UsageError, match=r"'rendr'.*render"):
+        run(["rendr"], TINY, lambda _: None)
+
+
+def test_the_command_prints_what_a_program_reads(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = Figure.beside("speed", "m/s", {"ours": 6.0, "peer": 2.0, "limit": 12.0}, "a snail", "light")
+    monkeypatch.setitem(BENCHMARKS, "speed", lambda _: [made])
+    assert main(["bench", "speed", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == [
+        {
+            "name": "speed",
+            "value": 6.0,
+            "unit": "m/s",
+            "peer": "a snail",
+            "peer_value": 2.0,
+            "ratio": 3.0,
+            "limit": "light",
+            "limit_value": 12.0,
+            "of_limit": 0.5,
+        }
+    ]
+    assert main(["bench", "speed"]) == 0
+    assert "3.00 x a snail (2)" in capsys.readouterr().out
