@@ -104,7 +104,7 @@ def _peer(pair: Pair, states: Sequence[Array]) -> tuple[int, float]:
 
 
 class _Plain:
-    """`mujoco.Renderer` on the scene as robosuite has it, showing one group of geoms; plain: no shadow, no smoothing."""
+    """`mujoco.Renderer` on the whole scene, showing one group of geoms; plain: no shadow, no smoothing."""
 
     def __init__(self, pair: Pair, group: int, side: int, *, plain: bool = True) -> None:
         self._world, self._model = pair.ours, pair.ours.scene()
