@@ -4,7 +4,9 @@ import os
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 
 from playlearn.config.schema import nearest
@@ -57,12 +59,13 @@ class Figure:
 class Size:
     """steps: of each turn. rounds: turns of each contender, of which the median counts. episodes: of the growing store.
 
-    out: where pictures are written, None for nowhere.
+    worlds: what is stepped and drawn. out: where pictures are written, None for nowhere.
     """
 
     steps: int = 200
     rounds: int = 5
     episodes: int = 1000
+    worlds: tuple[str, ...] = ("playtable", "lift")
     out: Path | None = None
 
 
@@ -84,6 +87,8 @@ def benchmark(
 def run(names: Sequence[str], size: Size, say: Callable[[Figure], None]) -> list[Figure]:
     """The figures of the named benchmarks, or of all; `say` hears each as it comes.
 
+    Each benchmark has a process of its own: what one leaves behind (memory, OpenGL contexts) is no other's.
+
     Raises:
         UsageError: there is no benchmark of such a name.
     """
@@ -94,9 +99,10 @@ def run(names: Sequence[str], size: Size, say: Callable[[Figure], None]) -> list
     os.environ.setdefault("LP_NUM_THREADS", "0")
     figures = []
     for name in names or tuple(BENCHMARKS):
-        for figure in BENCHMARKS[name](size):
-            say(figure)
-            figures.append(figure)
+        with ProcessPoolExecutor(1, get_context("spawn")) as process:
+            for figure in process.submit(BENCHMARKS[name], size).result():
+                say(figure)
+                figures.append(figure)
     return figures
 
 

@@ -22,7 +22,7 @@ def collecting(size: Size) -> list[Figure]:
     """PlayTable, with two cameras and with none, in one process; then two processes beside one."""
     figures = []
     for cameras in (CAMERAS, ()):
-        pair = next(pairs(images=bool(cameras)))
+        pair = next(pairs(("playtable",), images=bool(cameras)))
         config = _config(cameras, size)
         with tempfile.TemporaryDirectory() as folder:
             out = Path(folder) / "play"

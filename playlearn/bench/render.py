@@ -29,7 +29,7 @@ def rendering(size: Size) -> list[Figure]:
     and the full scene, drawn FINE times as large with every face, multisampling and shadows, averaged down.
     """
     figures = []
-    for pair in pairs(images=True):
+    for pair in pairs(size.worlds, images=True):
         states = _walk(pair, size.steps)
         bare = _Plain(pair, COLLISION_GROUP, SIDE)
         measured = rates(
@@ -149,7 +149,7 @@ class _Plain:
 
 def _likeness(pair: Pair, states: Sequence[Array], out: Path | None) -> list[Figure]:
     fine = _Plain(pair, VISUAL_GROUP, FINE * SIDE, plain=False)
-    chosen = [states[i] for i in np.linspace(0, len(states) - 1, COMPARED).astype(int)]
+    chosen = [states[i] for i in np.unique(np.linspace(0, len(states) - 1, COMPARED).astype(int))]
     figures = []
     strips = []
     for camera in pair.cameras:

@@ -13,7 +13,7 @@ from playlearn.bench.worlds import SEED, Pair, actions, pairs
 def stepping(size: Size) -> list[Figure]:
     """PlayTable and Lift, one process; the limit is `mj_step` alone, from the very states that ours passes through."""
     figures = []
-    for pair in pairs(images=False):
+    for pair in pairs(size.worlds, images=False):
         measured = rates({"ours": partial(_ours, pair, size), "peer": partial(_peer, pair, size)}, size.rounds)
         measured["limit"] = _limit(pair, size)
         figures.append(

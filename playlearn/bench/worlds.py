@@ -2,7 +2,7 @@
 
 import contextlib
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,8 +28,8 @@ class Pair:
     peer_cameras: tuple[str, ...]
 
 
-def pairs(*, images: bool) -> Iterator[Pair]:
-    """PlayTable and Lift; with `images` the peer draws both cameras at every step."""
+def pairs(worlds: Sequence[str], *, images: bool) -> Iterator[Pair]:
+    """Of PlayTable and Lift those that are named; with `images` the peer draws both cameras at every step."""
     import robosuite
 
     from playlearn.tasks.playtable.scene import PlayTable
@@ -47,12 +47,14 @@ def pairs(*, images: bool) -> Iterator[Pair]:
             made.reset()
         return made
 
-    world = PlayTableConfig().build()
-    yield Pair("playtable", world, peer(PlayTable, ["front", "wrist"]), ("front", "wrist"), ("front", "wrist"))
-    lift = LiftConfig().build()
-    stock = ["agentview", "robot0_eye_in_hand"]
-    made = peer(lambda **kwargs: robosuite.make("Lift", **kwargs), stock)
-    yield Pair("lift", lift, made, tuple(lift.spec.cameras), tuple(stock))
+    if "playtable" in worlds:
+        made = peer(PlayTable, ["front", "wrist"])
+        yield Pair("playtable", PlayTableConfig().build(), made, ("front", "wrist"), ("front", "wrist"))
+    if "lift" in worlds:
+        lift = LiftConfig().build()
+        stock = ["agentview", "robot0_eye_in_hand"]
+        made = peer(lambda **kwargs: robosuite.make("Lift", **kwargs), stock)
+        yield Pair("lift", lift, made, tuple(lift.spec.cameras), tuple(stock))
 
 
 def actions(steps: int) -> Array:
