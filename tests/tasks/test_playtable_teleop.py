@@ -8,6 +8,8 @@ import pytest
 from playlearn.episode import Episode, Goal
 from playlearn.rollout import rollout
 from playlearn.tasks import PlayTableConfig
+from playlearn.tasks.playtable import scene
+from playlearn.tasks.playtable.layout import LED, block
 from playlearn.tasks.playtable.world import PlayTableWorld
 from playlearn.teleop import PlayConfig, expert_for, player_for
 from playlearn.teleop.hand import Hand
@@ -84,6 +86,72 @@ def test_the_expert_does_every_kind_of_task(world: PlayTableWorld, name: str) ->
         start, goal = begin(world, name, seed)
         done.append(drive(world, goal, 200, lambda now, s=start, g=goal: task.judge(s, now, g)))
     assert any(done)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_expert_goes_from_any_state_to_any_other(world: PlayTableWorld, seed: int) -> None:
+    """Between random starts everything differs: some 400 steps, of which a block takes 70."""
+    world.reset(2000 + seed)
+    goal = world.achieved()
+    world.reset(1000 + seed)
+    assert drive(world, goal, 700, lambda now: world.reached(now, goal))
+
+
+def arranged(world: PlayTableWorld) -> None:
+    """Drawer and slider at 0, the blocks in a row on the deck."""
+    world.reset(1)
+    world.slide_drawer(0.0)
+    world.slide_slider(0.0)
+    for i in range(3):
+        world.lay(i, (0.06, -0.13 + 0.11 * i), 0.2)
+    world.refresh()
+
+
+def test_the_expert_swaps_two_blocks(world: PlayTableWorld) -> None:
+    """Each stands where the other is to go: one has to be laid aside first."""
+    arranged(world)
+    goal = world.achieved()
+    block(goal, 0)[:], block(goal, 1)[:] = block(world.achieved(), 1), block(world.achieved(), 0)
+    assert drive(world, goal, 350, lambda now: world.reached(now, goal))
+
+
+@pytest.mark.parametrize("where", ["drawer", "bay"])
+def test_the_expert_makes_way_and_leaves_fixtures_as_the_goal_shows_them(world: PlayTableWorld, where: str) -> None:
+    """What is shut in the drawer or lies under the slider is to lie on the deck, with all shut as before."""
+    arranged(world)
+    goal = world.achieved()
+    if where == "drawer":
+        world.slide_drawer(0.1)
+        world.stow(0, np.random.default_rng(0))
+        world.slide_drawer(0.0)
+    else:
+        world.lay(0, (scene.BAY_CENTRE[0], scene.SLIDER_Y), np.pi / 2)
+    world.refresh()
+    assert not world.reached(world.achieved(), goal)
+    assert drive(world, goal, 450, lambda now: world.reached(now, goal))
+
+
+def test_the_expert_takes_the_lower_block_of_a_pile(world: PlayTableWorld) -> None:
+    arranged(world)
+    goal = world.achieved()
+    block(goal, 0)[:2] = 0.1, 0.05
+    block(goal, 2)[:2] = 0.0, 0.09
+    world.stack(1, 0, np.random.default_rng(0))
+    world.refresh()
+    assert drive(world, goal, 400, lambda now: world.reached(now, goal))
+
+
+def test_the_expert_lets_a_pressed_button_up_before_it_presses_again(world: PlayTableWorld) -> None:
+    """Pressed once, the lamp will not change again while the button is held down."""
+    arranged(world)
+    lit = world.achieved()
+    lit[LED] = 1 - lit[LED]
+    assert drive(world, lit, 150, lambda now: bool(now[LED] == lit[LED]))
+    for _ in range(3):
+        world.step(np.array([0, 0, -0.6, 0, 0, 0, 1.0]))
+    back = world.achieved()
+    back[LED] = 1 - back[LED]
+    assert drive(world, back, 150, lambda now: bool(now[LED] == back[LED]))
 
 
 def test_the_expert_rests_where_nothing_is_to_be_done(world: PlayTableWorld) -> None:
