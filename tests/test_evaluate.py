@@ -196,7 +196,7 @@ class LosesTheFirst(InProcessExecutor):
 
     def run(self, jobs: Iterable[Job], *, keep_going: bool = False) -> Iterator[Result]:
         first, *others = jobs
-        yield Result(first.key, None, 0.0, tries=3, error=LostError("job 0 (seed 0) was lost 3 times"))
+        yield Result(first.key, None, 0.0, tries=3, error=LostError(first, 3, "was killed"))
         yield from super().run(others, keep_going=keep_going)
 
 
