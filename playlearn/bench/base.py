@@ -5,7 +5,7 @@ import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -70,15 +70,18 @@ class Size:
 
 
 BENCHMARKS: dict[str, Callable[[Size], list[Figure]]] = {}
+_BY_WORLD: set[str] = set()
 
 
 def benchmark(
-    name: str,
+    name: str, *, by_world: bool = False
 ) -> Callable[[Callable[[Size], list[Figure]]], Callable[[Size], list[Figure]]]:
-    """Register a function as the benchmark of this name."""
+    """Register a function as the benchmark of this name; `by_world`: each of the worlds is measured by itself."""
 
     def register(measure: Callable[[Size], list[Figure]]) -> Callable[[Size], list[Figure]]:
         BENCHMARKS[name] = measure
+        if by_world:
+            _BY_WORLD.add(name)
         return measure
 
     return register
@@ -87,7 +90,7 @@ def benchmark(
 def run(names: Sequence[str], size: Size, say: Callable[[Figure], None]) -> list[Figure]:
     """The figures of the named benchmarks, or of all; `say` hears each as it comes.
 
-    Each benchmark has a process of its own: what one leaves behind (memory, OpenGL contexts) is no other's.
+    Each measurement has a process of its own: what one leaves behind (memory, OpenGL contexts) is no other's.
 
     Raises:
         UsageError: there is no benchmark of such a name.
@@ -99,11 +102,18 @@ def run(names: Sequence[str], size: Size, say: Callable[[Figure], None]) -> list
     os.environ.setdefault("LP_NUM_THREADS", "0")
     figures = []
     for name in names or tuple(BENCHMARKS):
-        with ProcessPoolExecutor(1, get_context("spawn")) as process:
-            for figure in process.submit(BENCHMARKS[name], size).result():
-                say(figure)
-                figures.append(figure)
+        alone = [replace(size, worlds=(world,)) for world in size.worlds] if name in _BY_WORLD else [size]
+        for one in alone:
+            with ProcessPoolExecutor(1, get_context("spawn"), _to_stderr) as process:
+                for figure in process.submit(BENCHMARKS[name], one).result():
+                    say(figure)
+                    figures.append(figure)
     return figures
+
+
+def _to_stderr() -> None:
+    """What MuJoCo and robosuite print is no part of the figures."""
+    os.dup2(2, 1)
 
 
 def rates(contenders: Mapping[str, Callable[[], tuple[int, float]]], rounds: int) -> dict[str, float]:

@@ -21,7 +21,7 @@ COLLISION_GROUP = 0
 COMPARED = 8  # states whose images are compared
 
 
-@benchmark("render")
+@benchmark("render", by_world=True)
 def rendering(size: Size) -> list[Figure]:
     """PlayTable and Lift, two cameras of SIDE pixels, one process.
 

@@ -9,7 +9,7 @@ from playlearn.bench.base import Figure, Size, benchmark, rates, timed
 from playlearn.bench.worlds import SEED, Pair, actions, pairs
 
 
-@benchmark("sim")
+@benchmark("sim", by_world=True)
 def stepping(size: Size) -> list[Figure]:
     """PlayTable and Lift, one process; the limit is `mj_step` alone, from the very states that ours passes through."""
     figures = []
