@@ -96,6 +96,7 @@ def _peer(pair: Pair, states: Sequence[Array]) -> tuple[int, float]:
         pair.ours.set_state(state)
         sim.data.qpos[:] = pair.ours.data.qpos
         sim.forward()
+        sim._render_context_offscreen.gl_ctx.make_current()  # robosuite draws into whichever context is current
         began = time.perf_counter()
         for camera in pair.peer_cameras:
             sim.render(camera_name=camera, width=SIDE, height=SIDE)

@@ -1,58 +1,114 @@
-"""What a camera cannot see because one flat thing fills its view: the sky over a floor, the room under a table top."""
+"""What a camera cannot see: what is out of its view, the sky over a floor, the room under a table top."""
+
+from typing import Any
 
 import mujoco
+import numba
 import numpy as np
 
 from playlearn.episode import Array
 
-_CORNERS = np.array([[x, y, -1.0] for x in (-1, 1) for y in (-1, 1)])  # a camera looks along -z
+_PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 
 
 class Cover:
-    """Geometry of a scene's flat things. room, tops: (g,) bool: the world's own geoms, and what stands still in it."""
+    """The room (g,) bool, geoms fixed to the world itself, and what stands still in it and may hide it (g,) bool."""
 
     def __init__(self, model: mujoco.MjModel, room: Array, tops: Array) -> None:
-        plane, box = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX
         alpha = np.where(model.geom_matid >= 0, model.mat_rgba[model.geom_matid, 3], model.geom_rgba[:, 3])
+        box = model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
+        plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
         self._model, self._room = model, np.flatnonzero(room)
-        self._floors = np.flatnonzero(room & (alpha == 1) & (model.geom_type == plane))
-        self._tops = np.flatnonzero(tops & (alpha == 1) & (model.geom_type == box))
-        self._flat = bool(np.isin(model.geom_type[self._room], (plane, box)).all())
+        self._floors = np.flatnonzero(room & (alpha == 1) & plane)
+        self._tops = np.flatnonzero(tops & (alpha == 1) & box)
+        self._flat = bool((box | plane)[self._room].all())
 
     def seen(self, data: mujoco.MjData, camera: int, aspect: float) -> tuple[bool, bool]:
         """Whether a camera, as it stands, may see the sky, and anything of the room."""
-        slope = np.tan(np.deg2rad(self._model.cam_fovy[camera]) / 2)
-        eye, turn = data.cam_xpos[camera], data.cam_xmat[camera].reshape(3, 3)
-        rays = _CORNERS * [slope * aspect, slope, 1.0] @ turn.T  # (4, 3)
-        corners = self._filling(data, self._tops, eye, rays)
-        if corners is not None and self._flat and self._room_is_outside(data, np.concatenate([eye[None], corners])):
+        model = self._model
+        scene = model.geom_type, model.geom_size, data.geom_xpos, data.geom_xmat
+        eye, rays = data.cam_xpos[camera], _corner_rays(model, data, camera, aspect)
+        if self._flat and _hidden_by_a_top(self._tops, self._room, *scene, eye, rays):
             return False, False
-        return self._filling(data, self._floors, eye, rays) is None, True
+        return not _fills(self._floors, *scene, eye, rays, np.empty((4, 3))), True
 
-    def _filling(self, data: mujoco.MjData, geoms: Array, eye: Array, rays: Array) -> Array | None:
-        """(4, 3) where the view's corners meet the upper face of the first of these geoms that fills it."""
-        if not len(geoms):
-            return None
-        frames, size = data.geom_xmat[geoms].reshape(-1, 3, 3), self._model.geom_size[geoms]
-        plane = self._model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_PLANE
-        local = np.einsum("gi,gij->gj", eye - data.geom_xpos[geoms], frames)  # (g, 3)
-        local[:, 2] -= np.where(plane, 0.0, size[:, 2])
-        ways = np.einsum("ri,gij->grj", rays, frames)  # (g, 4, 3)
-        down = np.minimum(ways[:, :, 2], -1e-9)
-        far = -local[:, None, 2] / down  # (g, 4), in lengths of a ray
-        hits = local[:, None, :2] + far[:, :, None] * ways[:, :, :2]
-        half = np.where(plane[:, None] & (size[:, :2] == 0), np.inf, size[:, :2])  # a plane of size 0 has no end
-        inside = (np.abs(hits) < half[:, None]).all(axis=(1, 2)) & (ways[:, :, 2] < 0).all(axis=1) & (local[:, 2] > 0)
-        found = np.flatnonzero(inside)
-        return eye + far[found[0], :, None] * rays if len(found) else None
+    def in_view(self, data: mujoco.MjData, camera: int, aspect: float) -> Array:
+        """(g,) bool: geoms whose bounding boxes are not wholly beyond a side of the view; MuJoCo itself draws all."""
+        eye, rays = data.cam_xpos[camera], _corner_rays(self._model, data, camera, aspect)
+        inside: Array = _in_view(self._model.geom_aabb, data.geom_xpos, data.geom_xmat, eye, rays)
+        inside |= self._model.geom_rbound == 0  # a plane has no end
+        return inside
 
-    def _room_is_outside(self, data: mujoco.MjData, pyramid: Array) -> bool:
-        """Whether each of the room's geoms has a side of its own on which all of the view (5, 3) is."""
-        room, size = self._room, self._model.geom_size[self._room]
-        local = np.einsum(
-            "gpi,gij->gpj", pyramid - data.geom_xpos[room][:, None], data.geom_xmat[room].reshape(-1, 3, 3)
-        )
-        plane = self._model.geom_type[room] == mujoco.mjtGeom.mjGEOM_PLANE
-        beyond = (local.min(axis=1) > size) | (local.max(axis=1) < -size)  # (g, 3)
-        above = local[:, :, 2].min(axis=1) > 0
-        return bool(np.where(plane, above, beyond.any(axis=1)).all())
+
+def _corner_rays(model: mujoco.MjModel, data: mujoco.MjData, camera: int, aspect: float) -> Array:
+    """(4, 3) ways from the eye through the image's corners, going round it, one unit deep."""
+    up = np.tan(np.deg2rad(model.cam_fovy[camera]) / 2)
+    across = up * aspect
+    corners = np.array([[across, up, -1.0], [-across, up, -1.0], [-across, -up, -1.0], [across, -up, -1.0]])
+    rays: Array = corners @ data.cam_xmat[camera].reshape(3, 3).T
+    return rays
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _fills(geoms: Any, kind: Any, size: Any, xpos: Any, xmat: Any, eye: Any, rays: Any, hits: Any) -> bool:
+    """Whether the upper face of one of the geoms, planes or boxes, fills the view; where the rays meet it (4, 3)."""
+    for g in geoms:
+        turn = xmat[g].reshape(3, 3)
+        above = np.dot(turn[:, 2].copy(), eye - xpos[g]) - (0.0 if kind[g] == _PLANE else size[g, 2])
+        whole = above > 0.0
+        for k in range(4):
+            down = -np.dot(turn[:, 2].copy(), rays[k])
+            if not whole or down <= 1e-9:
+                whole = False
+                break
+            hits[k] = eye + rays[k] * (above / down)
+            for axis in range(2):
+                half = size[g, axis] if kind[g] != _PLANE or size[g, axis] > 0.0 else np.inf  # a plane of 0 has no end
+                whole = whole and abs(np.dot(turn[:, axis].copy(), hits[k] - xpos[g])) < half
+        if whole:
+            return True
+    return False
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _hidden_by_a_top(tops: Any, room: Any, kind: Any, size: Any, xpos: Any, xmat: Any, eye: Any, rays: Any) -> bool:
+    """Whether a top fills the view, and each of the room's geoms has a side on which all of the view before it is."""
+    hits = np.empty((4, 3))
+    if not _fills(tops, kind, size, xpos, xmat, eye, rays, hits):
+        return False
+    for g in room:
+        turn, apart = xmat[g].reshape(3, 3), False
+        for axis in range(3):
+            way = turn[:, axis].copy()
+            low = high = np.dot(way, eye - xpos[g])
+            for k in range(4):
+                at = np.dot(way, hits[k] - xpos[g])
+                low, high = min(low, at), max(high, at)
+            if kind[g] == _PLANE:
+                apart = apart or (axis == 2 and low > 0.0)
+            else:
+                apart = apart or low > size[g, axis] or high < -size[g, axis]
+        if not apart:
+            return False
+    return True
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _in_view(aabb: Any, xpos: Any, xmat: Any, eye: Any, rays: Any) -> Any:
+    """(g,) bool; aabb (g, 6): centre and half sizes of each geom's box, in its own frame."""
+    outward = np.empty((5, 3))
+    for k in range(4):
+        outward[k] = np.cross(rays[k], rays[(k + 1) % 4])  # out of the side between two corners
+    outward[4] = -(rays[0] + rays[1] + rays[2] + rays[3])  # backwards
+    inside = np.ones(len(xpos), np.bool_)
+    for g in range(len(xpos)):
+        turn = xmat[g].reshape(3, 3)
+        middle = xpos[g] + np.dot(turn, aabb[g, :3].copy()) - eye
+        for side in range(5):
+            thick = 0.0
+            for axis in range(3):
+                thick += abs(np.dot(outward[side], turn[:, axis].copy())) * aabb[g, 3 + axis]
+            if np.dot(outward[side], middle) > thick:
+                inside[g] = False
+                break
+    return inside

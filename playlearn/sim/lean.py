@@ -10,7 +10,7 @@ from playlearn.sim.meshes import simplify
 
 VISUAL_GROUP = 1
 FINEST = 512  # rows; images with more are drawn from the meshes as they are
-_PIXELS = 0.25  # a surface may be off by so much of a pixel
+_PIXELS = 0.35  # a surface may be off by so much of a pixel
 _SAME_SIDE = 0.5  # cosine between the normals of two faces beyond which there is an edge to be seen between them
 _NEARBY = 0.3  # metres from which a moving camera may come to see what it does not see at home
 

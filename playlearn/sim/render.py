@@ -6,9 +6,6 @@ out of view or covered is left out (`cover`), what stands still before a fixed c
 of which robosuite's floor has one in a hundred, not at all.
 """
 
-import atexit
-import functools
-import importlib
 import os
 from collections.abc import Callable
 from typing import Any
@@ -18,8 +15,8 @@ import numba
 import numpy as np
 
 from playlearn.episode import Array
-from playlearn.errors import RenderError
 from playlearn.sim.cover import Cover
+from playlearn.sim.gl import our_context
 from playlearn.sim.lean import FINEST, VISUAL_GROUP, lean_model
 
 
@@ -27,7 +24,8 @@ class Renderer:
     """Draws a scene in any state, from any camera, in any size; holds its own data, never the simulation's.
 
     xml: the scene. home: (nq,), a pose from which to judge how near the cameras come to things.
-    paint: called with a model and what a world keeps beside MuJoCo's state, to show it (a lit lamp).
+    paint: called with a model and what a world keeps beside MuJoCo's state, to show it: it may change colours
+    and where bodies stand.
     """
 
     def __init__(self, xml: str, home: Array, paint: Callable[[mujoco.MjModel, Array], None]) -> None:
@@ -44,19 +42,20 @@ class Renderer:
 
     def backend(self) -> str:
         """GL back end and device, such as `egl: llvmpipe (LLVM 15.0.6, 256 bits)`."""
-        _gl_context().make_current()  # as in `_need`
-        from OpenGL import GL  # only once a platform has been chosen by the context
+        with our_context():
+            from OpenGL import GL  # only once a platform has been chosen by the context
 
-        while GL.glGetError():  # whatever somebody else's drawing left behind is not ours to report
-            pass
-        return f"{os.environ.get('MUJOCO_GL', 'default')}: {GL.glGetString(GL.GL_RENDERER).decode()}"
+            while GL.glGetError():  # an error of before is none of this question
+                pass
+            return f"{os.environ.get('MUJOCO_GL', 'default')}: {GL.glGetString(GL.GL_RENDERER).decode()}"
 
     def _stage(self, height: int) -> "_Stage":
         rows = 64
         while rows < height and rows <= FINEST:
             rows *= 2
         if rows not in self._stages:
-            _gl_context()  # says what is missing, before time is spent
+            with our_context():  # says what is missing, before time is spent
+                pass
             self._stages[rows] = _Stage(lean_model(self._xml, self._home, rows), self._paint)
         return self._stages[rows]
 
@@ -65,18 +64,21 @@ class _Stage:
     """A compiled scene and what it takes to draw it."""
 
     def __init__(self, model: mujoco.MjModel, paint: Callable[[mujoco.MjModel, Array], None]) -> None:
+        self._context: mujoco.MjrContext | None = None
         self._model, self._data, self._paint = model, mujoco.MjData(model), paint
         self._visual = model.geom_group == VISUAL_GROUP
         self._moves = model.body_weldid[model.geom_bodyid] != 0
         self._room = self._visual & (model.geom_bodyid == 0)
         self._cover = Cover(model, self._room, self._visual & ~self._room & ~self._moves)
+        self._moving = np.flatnonzero(self._visual & self._moves)
+        self._material = model.geom_matid[self._moving]
+        self._fixed_camera = model.body_weldid[model.cam_bodyid] == 0
         self._option = mujoco.MjvOption()
         self._option.geomgroup[:] = 0
         self._option.geomgroup[VISUAL_GROUP] = 1
         self._option.sitegroup[:] = 0
         self._scene = mujoco.MjvScene(model, maxgeom=2000)
         self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
-        self._context: mujoco.MjrContext | None = None
         self._size = (0, 0)
         self._backgrounds: dict[tuple[int, int, int], tuple[bytes, Array, Array]] = {}
 
@@ -87,26 +89,29 @@ class _Stage:
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_camlight(model, data)
-        number = int(model.camera(camera).id)
         fine, image = np.empty((2 * height, 2 * width, 3), np.uint8), np.empty((height, width, 3), np.uint8)
-        if self._stands_before_a_background(number):
-            behind, far = self._background(number, height, width)
-            depth = np.empty(far.shape, np.float32)
-            self._shoot(number, self._visual & self._moves, False, fine, depth)
-            _put_before(fine, depth, behind, far)
-        else:
-            sky, room = self._cover.seen(data, number, width / height)
-            self._shoot(number, self._visual if room else self._visual & ~self._room, sky, fine, None)
+        with our_context():
+            self._draw(int(model.camera(camera).id), fine)
         _halve(fine, image)
         return image
 
-    def _stands_before_a_background(self, camera: int) -> bool:
-        """Whether what stands still can be drawn by itself: camera fixed, nothing clear before it, no shadow on it."""
+    def _draw(self, camera: int, fine: Array) -> None:
+        """Fill fine (H, W, 3), bottom row first."""
+        height, width, _ = fine.shape
+        if self._fixed_camera[camera] and self._is_opaque():
+            behind, far = self._background(camera, height, width)
+            depth = np.empty((height, width), np.float32)
+            self._shoot(camera, self._visual & self._moves, False, fine, depth)
+            _put_before(fine, depth, behind, far)
+        else:
+            sky, room = self._cover.seen(self._data, camera, width / height)
+            self._shoot(camera, self._visual if room else self._visual & ~self._room, sky, fine, None)
+
+    def _is_opaque(self) -> bool:
+        """Whether what stands still can be drawn by itself: nothing clear before it, no shadow thrown on it."""
         model = self._model
-        if model.body_weldid[model.cam_bodyid[camera]] or model.light_castshadow.any():
-            return False
-        alpha = np.where(model.geom_matid >= 0, model.mat_rgba[model.geom_matid, 3], model.geom_rgba[:, 3])
-        return not ((alpha > 0) & (alpha < 1) & self._visual & self._moves).any()
+        alpha = np.where(self._material >= 0, model.mat_rgba[self._material, 3], model.geom_rgba[self._moving, 3])
+        return not ((alpha > 0) & (alpha < 1)).any() and not model.light_castshadow.any()
 
     def _background(self, camera: int, height: int, width: int) -> tuple[Array, Array]:
         """All that stands still, as a fixed camera sees it: image and depth, drawn anew when `paint` changed it."""
@@ -115,7 +120,7 @@ class _Stage:
         look = b"".join(values.tobytes() for values in painted)
         kept = self._backgrounds.get((camera, height, width))
         if kept is None or kept[0] != look:
-            image, depth = np.empty((2 * height, 2 * width, 3), np.uint8), np.empty((2 * height, 2 * width), np.float32)
+            image, depth = np.empty((height, width, 3), np.uint8), np.empty((height, width), np.float32)
             self._shoot(camera, self._visual & ~self._moves, True, image, depth)
             kept = self._backgrounds[camera, height, width] = look, image, depth
         return kept[1:]
@@ -126,7 +131,7 @@ class _Stage:
         context = self._need(height, width)
         view = mujoco.MjvCamera()
         view.type, view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, camera
-        shown = geoms & self._in_view(camera, width / height)
+        shown = geoms & self._cover.in_view(self._data, camera, width / height)
         self._model.geom_group[:] = np.where(shown, VISUAL_GROUP, mujoco.mjNGROUP - 1)
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = sky
         every = mujoco.mjtCatBit.mjCAT_ALL
@@ -135,21 +140,7 @@ class _Stage:
         mujoco.mjr_render(rectangle, self._scene, context)
         mujoco.mjr_readPixels(image, depth, rectangle, context)
 
-    def _in_view(self, camera: int, aspect: float) -> Array:
-        """(g,) bool: geoms whose bounding boxes are not wholly beyond a side of the camera's view; MuJoCo draws all."""
-        model, data = self._model, self._data
-        slope = float(np.tan(np.deg2rad(model.cam_fovy[camera]) / 2))
-        across, up = np.array([1, 0, slope * aspect]), np.array([0, 1, slope])
-        outward = np.stack([across, across * [-1, 0, 1], up, up * [0, -1, 1], np.array([0, 0, 1])])
-        outward = outward @ data.cam_xmat[camera].reshape(3, 3).T  # (5, 3), the last one points backwards
-        turns = data.geom_xmat.reshape(-1, 3, 3)
-        middle = data.geom_xpos + (turns @ model.geom_aabb[:, :3, None])[:, :, 0] - data.cam_xpos[camera]
-        thick = (np.abs(outward @ turns) @ model.geom_aabb[:, 3:, None])[:, :, 0]  # (g, 5)
-        inside: Array = (middle @ outward.T < thick).all(axis=1) | (model.geom_rbound == 0)  # a plane has no end
-        return inside
-
     def _need(self, height: int, width: int) -> mujoco.MjrContext:
-        _gl_context().make_current()  # somebody else in this process may have drawn meanwhile
         if self._context is None or height > self._size[0] or width > self._size[1]:
             self._size = max(height, self._size[0]), max(width, self._size[1])
             self._model.vis.global_.offheight, self._model.vis.global_.offwidth = self._size
@@ -159,6 +150,11 @@ class _Stage:
             _sample_one_level(self._context)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)  # each context has its own
         return self._context
+
+    def __del__(self) -> None:
+        if self._context is not None:
+            with our_context():
+                self._context.free()
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
@@ -193,20 +189,3 @@ def _sample_one_level(context: mujoco.MjrContext) -> None:
         GL.glBindTexture(target, int(name))
         GL.glTexParameteri(target, GL.GL_TEXTURE_MIN_FILTER, GL.GL_LINEAR_MIPMAP_NEAREST)
         GL.glBindTexture(target, 0)
-
-
-@functools.cache
-def _gl_context() -> Any:
-    platform = os.environ.setdefault("MUJOCO_GL", "egl").lower()
-    try:
-        # Not `mujoco.gl_context`, which chose when mujoco was first imported, perhaps before we could say egl.
-        name = {"egl": "mujoco.egl", "osmesa": "mujoco.osmesa"}.get(platform, "mujoco.gl_context")
-        context = importlib.import_module(name).GLContext(64, 64)
-        context.make_current()
-        atexit.register(context.free)  # while the modules that it needs to be freed are still there
-    except Exception as error:
-        raise RenderError(
-            f"no headless OpenGL ({error}): install it with `apt-get install libegl1 libgl1-mesa-dri`, "
-            "or collect without images and render where there is one; `playlearn doctor` checks"
-        ) from error
-    return context

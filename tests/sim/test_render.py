@@ -1,14 +1,19 @@
 """What is drawn: upright, a function of the state alone, in any size, and all that a full drawing would show."""
 
+import gc
+from typing import Any
+
 import mujoco
 import numpy as np
 import pytest
 
 from playlearn.bench.render import ssim
 from playlearn.errors import RenderError
+from playlearn.sim.gl import our_context
 from playlearn.sim.lean import FINEST, lean_model
 from playlearn.sim.render import _Stage
 from playlearn.tasks import PlayTableConfig
+from playlearn.tasks.playtable.scene import PlayTable
 from playlearn.tasks.playtable.world import PlayTableWorld, _paint
 
 SIZE = 84
@@ -52,10 +57,9 @@ def drawn_at_once(stage: _Stage, world: PlayTableWorld, camera: str, height: int
     """(2 h, 2 w, 3): everything there is in one picture, whether it can be seen or not."""
     stage.draw(world.data.qpos, world._shown(), camera, height, width)  # puts everything in place
     image = np.empty((2 * height, 2 * width, 3), np.uint8)
-    culled = stage._in_view
-    stage._in_view = lambda _camera, _aspect: np.ones(stage._model.ngeom, bool)
-    stage._shoot(stage._model.camera(camera).id, stage._visual, True, image, None)
-    stage._in_view = culled
+    with pytest.MonkeyPatch.context() as patch, our_context():
+        patch.setattr(stage._cover, "in_view", lambda *_: np.ones(stage._model.ngeom, bool))
+        stage._shoot(stage._model.camera(camera).id, stage._visual, True, image, None)
     return image
 
 
@@ -94,6 +98,29 @@ def test_a_picture_does_not_depend_on_what_was_drawn_before(
             np.testing.assert_array_equal(other.render(camera), image)
 
 
+def test_robosuite_draws_beside_us(world: PlayTableWorld, states: list[np.ndarray]) -> None:
+    """Each in its own context: neither what it draws with nor what it forgets is the other's."""
+    env: Any = None
+    pictures: list[tuple[np.ndarray, np.ndarray]] = []
+    world.set_state(states[0])
+    for _ in range(2):
+        env = PlayTable(has_renderer=False, has_offscreen_renderer=True, use_camera_obs=False)
+        env.reset()  # forgets a context, which is collected some time later
+        env.sim.data.qpos[:] = world.data.qpos
+        env.sim.forward()
+        env.sim._render_context_offscreen.gl_ctx.make_current()  # once: we are to leave it so
+        for _ in range(2):
+            theirs = env.sim.render(camera_name="wrist", width=64, height=64)[::-1]
+            pictures.append((theirs, world.render("wrist")))
+    env = None
+    gc.collect()
+    pictures.append((theirs, world.render("wrist")))
+    for theirs, ours in pictures:
+        np.testing.assert_array_equal(theirs, pictures[0][0])
+        np.testing.assert_array_equal(ours, pictures[0][1])
+        assert ssim(theirs, ours) > 0.9
+
+
 @pytest.mark.parametrize("camera", ["front", "wrist", "agentview", "sideview"])
 def test_what_is_left_out_cannot_be_seen(world: PlayTableWorld, states: list[np.ndarray], camera: str) -> None:
     """Out of view, covered by the table, or drawn once for all: to the last bit what one full drawing shows."""
@@ -113,7 +140,7 @@ def test_something_is_left_out(world: PlayTableWorld, states: list[np.ndarray]) 
         stage = world._renderer._stage(64)
         camera = stage._model.camera("wrist").id
         seen.append(stage._cover.seen(stage._data, camera, 1.0))
-        assert stage._in_view(camera, 1.0)[stage._visual].mean() < 0.8
+        assert stage._cover.in_view(stage._data, camera, 1.0)[stage._visual].mean() < 0.8
     assert (False, False) in seen
     assert (True, True) in seen
 
