@@ -50,21 +50,26 @@ def _corner_rays(model: mujoco.MjModel, data: mujoco.MjData, camera: int, aspect
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _dot(a: Any, b: Any) -> Any:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def _fills(geoms: Any, kind: Any, size: Any, xpos: Any, xmat: Any, eye: Any, rays: Any, hits: Any) -> bool:
     """Whether the upper face of one of the geoms, planes or boxes, fills the view; where the rays meet it (4, 3)."""
     for g in geoms:
         turn = xmat[g].reshape(3, 3)
-        above = np.dot(turn[:, 2].copy(), eye - xpos[g]) - (0.0 if kind[g] == _PLANE else size[g, 2])
+        above = _dot(turn[:, 2], eye - xpos[g]) - (0.0 if kind[g] == _PLANE else size[g, 2])
         whole = above > 0.0
         for k in range(4):
-            down = -np.dot(turn[:, 2].copy(), rays[k])
+            down = -_dot(turn[:, 2], rays[k])
             if not whole or down <= 1e-9:
                 whole = False
                 break
             hits[k] = eye + rays[k] * (above / down)
             for axis in range(2):
                 half = size[g, axis] if kind[g] != _PLANE or size[g, axis] > 0.0 else np.inf  # a plane of 0 has no end
-                whole = whole and abs(np.dot(turn[:, axis].copy(), hits[k] - xpos[g])) < half
+                whole = whole and abs(_dot(turn[:, axis], hits[k] - xpos[g])) < half
         if whole:
             return True
     return False
@@ -79,10 +84,9 @@ def _hidden_by_a_top(tops: Any, room: Any, kind: Any, size: Any, xpos: Any, xmat
     for g in room:
         turn, apart = xmat[g].reshape(3, 3), False
         for axis in range(3):
-            way = turn[:, axis].copy()
-            low = high = np.dot(way, eye - xpos[g])
+            low = high = _dot(turn[:, axis], eye - xpos[g])
             for k in range(4):
-                at = np.dot(way, hits[k] - xpos[g])
+                at = _dot(turn[:, axis], hits[k] - xpos[g])
                 low, high = min(low, at), max(high, at)
             if kind[g] == _PLANE:
                 apart = apart or (axis == 2 and low > 0.0)
@@ -100,15 +104,16 @@ def _in_view(aabb: Any, xpos: Any, xmat: Any, eye: Any, rays: Any) -> Any:
     for k in range(4):
         outward[k] = np.cross(rays[k], rays[(k + 1) % 4])  # out of the side between two corners
     outward[4] = -(rays[0] + rays[1] + rays[2] + rays[3])  # backwards
-    inside = np.ones(len(xpos), np.bool_)
+    inside, middle = np.ones(len(xpos), np.bool_), np.empty(3)
     for g in range(len(xpos)):
         turn = xmat[g].reshape(3, 3)
-        middle = xpos[g] + np.dot(turn, aabb[g, :3].copy()) - eye
+        for axis in range(3):
+            middle[axis] = xpos[g, axis] + _dot(turn[axis], aabb[g, :3]) - eye[axis]
         for side in range(5):
             thick = 0.0
             for axis in range(3):
-                thick += abs(np.dot(outward[side], turn[:, axis].copy())) * aabb[g, 3 + axis]
-            if np.dot(outward[side], middle) > thick:
+                thick += abs(_dot(outward[side], turn[:, axis])) * aabb[g, 3 + axis]
+            if _dot(outward[side], middle) > thick:
                 inside[g] = False
                 break
     return inside
