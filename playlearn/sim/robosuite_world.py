@@ -6,6 +6,7 @@ loop around MuJoCo is ours, because robosuite spends most of a control step in P
 
 import contextlib
 import copy
+import math
 import warnings
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -29,12 +30,12 @@ STATE_NAMES = (
 ACTION_NAMES = ("dx", "dy", "dz", "droll", "dpitch", "dyaw", "gripper")
 _SAVED = int(mujoco.mjtState.mjSTATE_FULLPHYSICS | mujoco.mjtState.mjSTATE_WARMSTART | mujoco.mjtState.mjSTATE_CTRL)
 _DRAWS = 20
-_FATAL = (
-    mujoco.mjtWarning.mjWARN_BADQPOS,
-    mujoco.mjtWarning.mjWARN_BADQVEL,
-    mujoco.mjtWarning.mjWARN_BADQACC,
-    mujoco.mjtWarning.mjWARN_BADCTRL,
-)
+_FATAL = [
+    int(mujoco.mjtWarning.mjWARN_BADQPOS),
+    int(mujoco.mjtWarning.mjWARN_BADQVEL),
+    int(mujoco.mjtWarning.mjWARN_BADQACC),
+    int(mujoco.mjtWarning.mjWARN_BADCTRL),
+]
 
 
 class RobosuiteWorld:
@@ -91,6 +92,7 @@ class RobosuiteWorld:
         fingers = self._gripper_model.important_geoms
         pads = [pad for side in ("left", "right") for pad in fingers.get(f"{side}_fingerpad", [])[:1]]
         self._fingers = [self._geom_id(pad) for pad in pads]  # none where the hand is a tool
+        self._closed = float(sum(self.model.geom_size[geom].min() for geom in self._fingers))
         self._gripper: Array = np.zeros(len(self._gripper_ctrl))
         self.extra = np.zeros(extra)
         self._cameras = dict(cameras)
@@ -233,17 +235,19 @@ class RobosuiteWorld:
         action, names = np.asarray(action, float), self.spec.action_names
         if action.shape != (len(names),):
             raise ActionError(f"an action must have shape ({len(names)},), got {action.shape}")
-        if not np.isfinite(action).all():
-            raise ActionError(f"the action is not finite: {dict(zip(names, action.tolist(), strict=True))}")
-        if np.abs(action).max() > 1 + 1e-6:
+        if not np.abs(action).max() <= 1 + 1e-6:  # nor is what is no number
+            if not np.isfinite(action).all():
+                raise ActionError(f"the action is not finite: {dict(zip(names, action.tolist(), strict=True))}")
             raise ActionError(f"actions lie in [-1, 1], got {action.round(3).tolist()}")
         return action.clip(-1, 1)
 
     def _check_physics(self, before: float) -> None:
         data = self.data
-        fired = [warning.name for warning in _FATAL if data.warning[warning].number]
-        if fired or data.time <= before or not np.isfinite(data.qpos).all() or not np.isfinite(data.qvel).all():
-            data.warning.number[:] = 0
+        counts = data.warning.number
+        finite = math.isfinite(data.qpos.sum() + data.qvel.sum())
+        if counts[_FATAL].any() or data.time <= before or not finite:
+            fired = [mujoco.mjtWarning(warning).name for warning in _FATAL if counts[warning]]
+            counts[:] = 0
             raise SimulationDiverged(
                 f"the simulation diverged at {before:.2f} s ({', '.join(fired) or 'not finite or time went back'}); "
                 "the episode ends before it"
@@ -257,14 +261,8 @@ class RobosuiteWorld:
         """Distance between the finger pads' surfaces in metres, 0 without fingers."""
         if not self._fingers:
             return 0.0
-        return self._pad_gap() - self._finger_gap_closed()
-
-    def _pad_gap(self) -> float:
-        left, right = (self.data.geom_xpos[geom] for geom in self._fingers)
-        return float(np.linalg.norm(left - right))
-
-    def _finger_gap_closed(self) -> float:
-        return float(sum(self.model.geom_size[geom].min() for geom in self._fingers))
+        left, right = (self.data.geom_xpos[geom].tolist() for geom in self._fingers)
+        return math.dist(left, right) - self._closed
 
     def _site_id(self, name: str) -> int:
         return int(self.model.site(name).id)
