@@ -41,6 +41,7 @@ def pairs(worlds: Sequence[str], *, images: bool) -> Iterator[Pair]:
                 robots="Panda",
                 has_renderer=False,
                 has_offscreen_renderer=images,
+                hard_reset=False,  # a scene it forgets frees, some time later, what the next one is drawn with
                 ignore_done=True,
                 **(seeing if images else {"use_camera_obs": False}),
             )
