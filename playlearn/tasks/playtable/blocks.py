@@ -100,7 +100,8 @@ class BlockTasks:
             def judge(start: Array, achieved: Array, goal: Array) -> bool:
                 return bool(block(achieved, index)[2] > block(start, index)[2] + 0.04)
 
-            return Task(f"lift_{self.name}_{place}", "lift", suits, arrange, command, judge)
+            kind = "lift" if place == "table" else "lift_out"
+            return Task(f"lift_{self.name}_{place}", kind, suits, arrange, command, judge)
 
         def shelved(achieved: Array) -> bool:
             return in_bay(achieved, index) and clear(achieved, index) and not covered(achieved, index)

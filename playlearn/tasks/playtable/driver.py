@@ -43,6 +43,7 @@ from playlearn.teleop.skills import Push, Skill
 # How often play tries each kind, where it can: more of what is seldom possible.
 _WEIGHTS = {
     "lift": 0.3,
+    "lift_out": 3.0,
     "push": 0.5,
     "rotate": 0.4,
     "place": 0.6,
@@ -126,7 +127,7 @@ def _skill_for(task: Task, goal: Array, hand: Hand, achieved: Array) -> Skill | 
         return Push(name, Block(index), (x, y, z))
     if task.kind == "push_into_drawer":
         return PushIn(name, index)
-    return carry(hand, achieved, index, block(goal, index), name, lasting=task.kind != "lift")
+    return carry(hand, achieved, index, block(goal, index), name, lasting=task.kind not in ("lift", "lift_out"))
 
 
 def _of_block(index: int) -> list[Idea]:
