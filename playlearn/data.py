@@ -28,7 +28,8 @@ class Batch:
     state (B, T, S) float32, achieved (B, T, G) float32, images camera -> (B, T, h, w, 3) uint8: the
         observations t-T+1 ... t; before the episode's first one it is repeated.
     history_mask (B, T) bool: False where it was repeated.
-    goal_achieved (B, G) float32, goal_images camera -> (B, h, w, 3) uint8: the goal's observation.
+    goal_achieved (B, G) float32, goal_state (B, S) float32, goal_images camera -> (B, h, w, 3) uint8: the goal's
+        observation; the state is the arm's, for goals that speak of it too.
     action (B, H, A) float32: the labels of the steps t ... t+H-1; the last is repeated past the end.
     action_mask (B, H) bool: False past the end, past a mistake, and past the goal where the dataset was told so.
     steps_to_goal (B,) int64: how many actions lie between t and the goal; 0 where none leads there (a goal of
@@ -40,6 +41,7 @@ class Batch:
     images: Mapping[str, torch.Tensor]
     history_mask: torch.Tensor
     goal_achieved: torch.Tensor
+    goal_state: torch.Tensor
     goal_images: Mapping[str, torch.Tensor]
     action: torch.Tensor
     action_mask: torch.Tensor
@@ -186,6 +188,7 @@ class PlayDataset:
             images={camera: self._frames(camera, episode, seen) for camera in config.cameras},
             history_mask=torch.from_numpy(past >= 0),
             goal_achieved=torch.from_numpy(self.achieved[goal_row]),
+            goal_state=torch.from_numpy(self.state[goal_row]),
             goal_images={camera: self._frames(camera, shown, goals)[:, 0] for camera in config.goal_cameras},
             action=torch.from_numpy(self.action[labels]),
             action_mask=torch.from_numpy(ahead < limit[:, None]),

@@ -59,6 +59,7 @@ def test_every_example_says_what_the_episode_says(store: NativeStore, kind: str,
             place = int(np.searchsorted(data.table.rows, row, side="right")) - 1
             shown, there = store.read(int(data.episodes[place])), int(row - data.table.rows[place])
         np.testing.assert_array_equal(batch.goal_achieved[b], shown.achieved[there])
+        np.testing.assert_array_equal(batch.goal_state[b], shown.state[there])
         np.testing.assert_array_equal(batch.goal_images["front"][b], shown.images["front"][there])
         for camera in CAMERAS:
             np.testing.assert_array_equal(batch.images[camera][b], episode.images[camera][past])
@@ -80,6 +81,7 @@ def test_shapes_and_types(store: NativeStore) -> None:
         "images.wrist": ((4, 3, 6, 6, 3), torch.uint8),
         "history_mask": ((4, 3), torch.bool),
         "goal_achieved": ((4, 7), torch.float32),
+        "goal_state": ((4, 4), torch.float32),
         "goal_images.front": ((4, 8, 10, 3), torch.uint8),
         "action": ((4, 8, 4), torch.float32),
         "action_mask": ((4, 8), torch.bool),
