@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from playlearn import cli
+from playlearn.cli import commands
 from playlearn.errors import StoreError, UsageError
 
 
@@ -25,7 +26,7 @@ def stand_in(monkeypatch: pytest.MonkeyPatch, act: Callable[[], object]) -> None
         act()
         return 0
 
-    monkeypatch.setattr(cli, "doctor", command)
+    monkeypatch.setattr(commands, "doctor", command)
 
 
 def fail(error: BaseException) -> Callable[[], object]:

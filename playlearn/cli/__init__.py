@@ -1,0 +1,82 @@
+"""The `playlearn` command. Each verb imports what it needs when it runs, so that `--help` stays quick.
+
+Exit codes: 0 done, 1 the job failed, 2 bad usage or config, 130 interrupted (what was finished is kept).
+"""
+
+import errno
+import os
+import signal
+import sys
+import traceback
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from playlearn.cli.commands import FAILED, INTERRUPTED, USAGE
+from playlearn.cli.parser import parse
+from playlearn.errors import PlaylearnError, UsageError
+
+DEBUG = "PLAYLEARN_DEBUG"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code; a mistake ends in one message on stderr, not a traceback."""
+    try:
+        arguments = parse(argv)
+    except SystemExit as stop:  # argparse has said why
+        return int(stop.code or 0)
+    try:
+        with _termination_as_interrupt():
+            code: int = arguments.command(arguments)
+            sys.stdout.flush()
+            return code
+    except KeyboardInterrupt:
+        return _say(f"interrupted{arguments.kept}", INTERRUPTED)
+    except BrokenPipeError:  # the reader of our output went away: `playlearn info STORE | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
+    except Exception as error:
+        message = _explain(error)
+        if message is None:
+            raise
+        return _say(message, USAGE if isinstance(error, UsageError) else FAILED)
+
+
+def _explain(error: Exception) -> str | None:
+    """The message of an error that a user can mend; None for one that is ours."""
+    if isinstance(error, PlaylearnError):
+        return str(error)
+    if getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT) or "No space left on device" in str(error):
+        return f"the disk is full ({error}); what was finished is kept. Make room and run the same command again."
+    if (
+        isinstance(error, PermissionError | FileNotFoundError | NotADirectoryError | IsADirectoryError)
+        and error.filename
+    ):
+        return f"{error.strerror}: {error.filename}"
+    if isinstance(error, OSError) and error.errno == errno.EROFS:
+        return f"{error.strerror}: {error.filename}"
+    return None
+
+
+def _say(message: str, code: int) -> int:
+    if os.environ.get(DEBUG):
+        traceback.print_exc()
+    print(f"playlearn: {message}", file=sys.stderr)
+    return code
+
+
+@contextmanager
+def _termination_as_interrupt() -> Iterator[None]:
+    """SIGTERM ends a job as Ctrl-C does: cleanly, with what was finished kept."""
+
+    def interrupt(_signal: int, _frame: object) -> None:
+        raise KeyboardInterrupt
+
+    try:
+        former = signal.signal(signal.SIGTERM, interrupt)
+    except ValueError:  # not the main thread, which alone may say so
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, former)

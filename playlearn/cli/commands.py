@@ -1,0 +1,164 @@
+"""What each verb does with its arguments; returns an exit code."""
+
+import argparse
+import json
+import sys
+from typing import Any
+
+from playlearn.errors import UsageError
+
+DONE, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
+
+
+def collect(arguments: argparse.Namespace) -> int:
+    from playlearn.collect import CollectConfig, collect_by_hand, collect_one
+    from playlearn.collect import collect as run
+    from playlearn.config import load_config
+
+    overrides = _flags(arguments, "episodes", "seed") + arguments.overrides
+    config = load_config(CollectConfig, arguments.config, overrides)
+    if arguments.episode is not None:
+        collect_one(config, arguments.out, arguments.episode)
+    elif arguments.device is not None:
+        collect_by_hand(config, arguments.out, arguments.device, arguments.sensitivity, resume=arguments.resume)
+    else:
+        run(config, arguments.out, workers=arguments.workers, resume=arguments.resume)
+    return DONE
+
+
+def info(arguments: argparse.Namespace) -> int:
+    from playlearn.store import open_store
+
+    store = open_store(arguments.store)
+    facts = store.info()
+    problems = store.verify() if arguments.verify else []
+    if arguments.verify:
+        facts = {**facts, "problems": problems}
+    if arguments.json:
+        print(json.dumps(facts, indent=2))
+    else:
+        _print_facts({key: value for key, value in facts.items() if key != "problems"})
+        if arguments.verify and not problems:
+            print(f"whole: every checksum of {len(store)} episodes holds")
+    for problem in problems:
+        print(f"playlearn: {problem}", file=sys.stderr)
+    if arguments.report:
+        from playlearn.collect.world import world
+        from playlearn.config import from_dict
+        from playlearn.report.store_report import write_report
+        from playlearn.sim import EnvironmentConfig
+
+        for path in arguments.report:
+            write_report(store, path, lambda: world(from_dict(EnvironmentConfig, dict(store.spec.environment))))
+            print(f"report  {path}", file=sys.stderr)
+    return FAILED if problems else DONE
+
+
+def render(arguments: argparse.Namespace) -> int:
+    from playlearn.collect import render_store
+    from playlearn.sim.environment import CameraConfig
+
+    cameras = {name: CameraConfig(height=height, width=width) for name, height, width in arguments.camera}
+    render_store(arguments.store, arguments.out, cameras, workers=arguments.workers)
+    return DONE
+
+
+def view(arguments: argparse.Namespace) -> int:
+    if not arguments.path.exists():
+        raise UsageError(f"there is nothing at {arguments.path}; give a store or the --out folder of an evaluation")
+    from playlearn.report.view import view_episode, view_results
+
+    if (arguments.path / "results.json").exists():
+        view_results(arguments.path, save=arguments.save)
+    else:
+        view_episode(arguments.path, arguments.episode, save=arguments.save)
+    return DONE
+
+
+def train(arguments: argparse.Namespace) -> int:
+    from playlearn.config import load_config
+    from playlearn.train import TrainConfig
+    from playlearn.train import train as run
+
+    config = load_config(TrainConfig, arguments.config, _flags(arguments, "store") + arguments.overrides)
+    run(config, arguments.out, resume=arguments.resume)
+    return DONE
+
+
+def evaluate(arguments: argparse.Namespace) -> int:
+    from playlearn.evaluate import evaluate as run
+
+    results = run(
+        arguments.suite,
+        run=arguments.run,
+        policy=arguments.policy,
+        goal=arguments.goal,
+        out=arguments.out,
+        episodes=arguments.episodes,
+        workers=arguments.workers,
+        seed=arguments.seed,
+        overrides=arguments.overrides,
+    )
+    if arguments.json:
+        print(json.dumps(results, indent=2))
+    else:
+        for name, rates in ((results["policy"]["name"], results), *results["references"].items()):
+            low, high = rates["ci95"]
+            print(f"{name:<10} {rates['success_rate']:6.1%}  [{low:.1%}, {high:.1%}] of {rates['episodes']} episodes")
+        print(f"report     {arguments.out / 'report.html'}")
+    return DONE
+
+
+def export(arguments: argparse.Namespace) -> int:
+    from playlearn.report.progress import Progress
+    from playlearn.store import open_store
+    from playlearn.store.lerobot import export_lerobot
+
+    store = open_store(arguments.store)
+    with Progress(f"export {arguments.out}", len(store), "episode") as progress:
+        export_lerobot(store, arguments.out, videos=arguments.videos, progress=lambda done, _: progress.to(done))
+    print(f"{arguments.out}: LeRobot v3.0, {len(store)} episodes")
+    return DONE
+
+
+def lab(arguments: argparse.Namespace) -> int:
+    from playlearn.lab import load_experiment
+    from playlearn.lab import run as measure
+
+    experiment = load_experiment(arguments.config, arguments.overrides)
+    rows = measure(experiment, arguments.out, lambda words: print(words, file=sys.stderr, flush=True))
+    for row in rows:
+        print("  ".join(f"{name} {value}" for name, value in row.items() if not isinstance(value, list)))
+    print(f"plot  {arguments.out / 'plot.png'}")
+    return DONE
+
+
+def bench(arguments: argparse.Namespace) -> int:
+    from dataclasses import asdict, replace
+
+    from playlearn.bench import Size, run
+
+    said = (lambda _: None) if arguments.json else (lambda figure: print(figure.line(), flush=True))
+    quick = Size(steps=20, rounds=1, episodes=20) if arguments.quick else Size()
+    figures = run(arguments.name, replace(quick, out=arguments.out), said)
+    if arguments.json:
+        print(json.dumps([asdict(figure) for figure in figures], indent=2))
+    return DONE
+
+
+def doctor(arguments: argparse.Namespace) -> int:
+    from playlearn.doctor import doctor as run
+
+    return run(json_output=arguments.json)
+
+
+def _flags(arguments: argparse.Namespace, *names: str) -> list[str]:
+    """Flags that are a config's own fields, as overrides."""
+    given = {name: getattr(arguments, name) for name in names}
+    return [f"--{name}={json.dumps(value)}" for name, value in given.items() if value is not None]
+
+
+def _print_facts(facts: dict[str, Any]) -> None:
+    width = max(map(len, facts), default=0)
+    for name, value in facts.items():
+        print(f"{name:<{width}}  {value if isinstance(value, str) else json.dumps(value)}")
