@@ -139,7 +139,7 @@ def test_termination_ends_a_command_as_ctrl_c_does(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_reader_that_goes_away_is_no_error_of_ours() -> None:
-    say_much = "cli.doctor = lambda arguments: print('x' * 10**6) or 0"
+    say_much = "cli.commands.doctor = lambda arguments: print('x' * 10**6) or 0"
     code = f"import sys; from playlearn import cli; {say_much}; sys.exit(cli.main(['doctor']))"
     with subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -159,7 +159,7 @@ def test_an_interrupted_job_says_how_to_go_on(
     def interrupted(_arguments: Namespace) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli, verb, interrupted)
+    monkeypatch.setattr(commands, verb, interrupted)
     assert cli.main([verb, "--config", "c", "--out", "o"]) == 130
     assert "kept, and the same command with --resume goes on" in capsys.readouterr().err
 
@@ -167,11 +167,11 @@ def test_an_interrupted_job_says_how_to_go_on(
 def test_flags_that_are_config_fields_become_overrides() -> None:
     given = Namespace(episodes=3, seed=None, store="12")
     # JSON quotes the store, so that a folder called 12 stays a path.
-    assert cli._flags(given, "episodes", "seed", "store") == ["--episodes=3", '--store="12"']
+    assert commands._flags(given, "episodes", "seed", "store") == ["--episodes=3", '--store="12"']
 
 
 def test_free_arguments_are_left_for_the_config() -> None:
-    arguments = cli._parse(["train", "--config", "c", "--a.b", "-1", "--out", "o", "--c.d=[1, 2]"])
+    arguments = cli.parse(["train", "--config", "c", "--a.b", "-1", "--out", "o", "--c.d=[1, 2]"])
     assert arguments.overrides == ["--a.b", "-1", "--c.d=[1, 2]"]
     assert (arguments.config, arguments.out) == (Path("c"), Path("o"))
 
