@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,13 @@ class PolicyConfig:
     """history: observations it sees, the present one included. chunk: H, actions predicted at once.
 
     goal_dropout: share of training examples whose goal is withheld, which makes guidance possible.
+    history_dropout: share whose past observations are hidden, all but the present one; proprio_dropout: share
+    whose robot state is withheld (the mean of the data is shown). Both against copying: a policy that can
+    tell its next action from its last ones, or from how the arm moves, need not look at the goal
+    (de Haan et al. 2019).
+
+    Raises:
+        UsageError: a share does not lie between 0 and 1.
     """
 
     encoder: EncoderConfig = field(default_factory=StateConfig)
@@ -35,6 +42,13 @@ class PolicyConfig:
     history: int = 1
     chunk: int = 16
     goal_dropout: float = 0.1
+    history_dropout: float = 0.0
+    proprio_dropout: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("goal_dropout", "history_dropout", "proprio_dropout"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise UsageError(f"policy.{name} is a share of the examples, 0 to 1: got {getattr(self, name)}")
 
     def build(
         self, spec: PolicySpec, statistics: Mapping[str, Statistics] | None, seed: int, *, fetch: bool = True
@@ -93,15 +107,23 @@ class Policy(nn.Module):
         self.head.fit(self.normaliser.normalise("action", actions).unsqueeze(1))
 
     def forward(self, batch: Labelled, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
-        """Scalar training loss and its parts; all randomness (goal dropout, augmentation, noise) from `generator`."""
-        draws = torch.rand(len(batch.state), generator=generator, device=generator.device)
-        keep = (draws >= self.config.goal_dropout).to(batch.state.device)
-        return self._loss(batch, keep, generator, augment=generator)
+        """Scalar training loss and its parts; all randomness (dropout, augmentation, noise) from `generator`."""
+        config, normal = self.config, self._normalised(batch)
+        keep = self._kept(config.goal_dropout, batch, generator)
+        # at 0 nothing is drawn, so that what is drawn next does not depend on an option that is not used
+        if config.history_dropout > 0:
+            past = normal.history_mask.clone()
+            past[:, :-1] &= self._kept(config.history_dropout, batch, generator)[:, None]
+            normal = replace(normal, history_mask=past)
+        if config.proprio_dropout > 0:
+            felt = self._kept(config.proprio_dropout, batch, generator)
+            normal = replace(normal, state=normal.state * felt[:, None, None])
+        return self._loss(batch, normal, keep, generator, augment=generator)
 
     def loss(self, batch: Labelled, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
-        """The same with every goal shown and no augmentation: what held-out play is judged by."""
-        keep = torch.ones(len(batch.state), dtype=torch.bool, device=batch.state.device)
-        return self._loss(batch, keep, generator, augment=None)
+        """The same with nothing withheld and no augmentation: what held-out play is judged by."""
+        keep = torch.ones(len(batch.state), dtype=torch.bool, device=self.device)
+        return self._loss(batch, self._normalised(batch), keep, generator, augment=None)
 
     @torch.inference_mode()
     def act(
@@ -162,10 +184,19 @@ class Policy(nn.Module):
             raise CheckpointError(f"the policy at {path} cannot be read: {type(error).__name__}: {error}") from error
         return policy.to(device).eval()
 
+    def _kept(self, dropout: float, batch: Labelled, generator: torch.Generator) -> Tensor:
+        """(B,) bool, False for a share of `dropout`."""
+        draws = torch.rand(len(batch.state), generator=generator, device=generator.device)
+        return (draws >= dropout).to(self.device)
+
     def _loss(
-        self, batch: Labelled, keep: Tensor, generator: torch.Generator, augment: torch.Generator | None
+        self,
+        batch: Labelled,
+        normal: Inputs,
+        keep: Tensor,
+        generator: torch.Generator,
+        augment: torch.Generator | None,
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        normal = self._normalised(batch)
         features, extra = self._features(normal, keep, augment)
         chunk = self.normaliser.normalise("action", batch.action)
         loss, metrics = self.head.loss(features, chunk, batch.action_mask, generator)
