@@ -133,6 +133,18 @@ def lab(arguments: argparse.Namespace) -> int:
     return DONE
 
 
+def compare(arguments: argparse.Namespace) -> int:
+    from playlearn.compare import CompareConfig
+    from playlearn.compare import compare as run
+    from playlearn.config import load_config
+    from playlearn.report.compared import table
+
+    config = load_config(CompareConfig, arguments.config, arguments.overrides)
+    rows = run(config, arguments.out, workers=arguments.workers)
+    print(json.dumps(rows, indent=2) if arguments.json else table(rows), end="\n" if arguments.json else "")
+    return DONE
+
+
 def bench(arguments: argparse.Namespace) -> int:
     from dataclasses import asdict, replace
 

@@ -96,6 +96,11 @@ def _parser() -> argparse.ArgumentParser:
     made = verb(commands.lab, "lab", "run a small experiment and plot what came out", free=True)
     _config(made, "configs/lab/NAME.yaml")
 
+    made = verb(commands.compare, "compare", "train variants on the same play and judge them", free=True, kept=kept_too)
+    _config(made, "configs/compare/NAME.yaml")
+    _workers(made)
+    _json(made)
+
     made = verb(commands.bench, "bench", "measure speed beside robosuite and beside the limit, in one run")
     made.add_argument("name", nargs="*", metavar="NAME", help="sim, render, collect, grow (default: all)")
     made.add_argument("--out", type=Path, metavar="DIR", help="write compared images here")

@@ -1,0 +1,54 @@
+"""What a comparison came to: a table to read and a plot to look at."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+Row = Mapping[str, Any]
+BLUE, GREY, AMBER = "#2a6f97", "#9aa5b1", "#edae49"
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Markdown, the best first; success with its 95 % interval, over all seeds."""
+    lines = [
+        "| variant | reached | 95 % | seeds | parameters | core seconds of training | one chunk, ms (p50, p95) |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for row in sorted(rows, key=lambda row: -row["success_rate"]):
+        low, high = row["ci95"]
+        seeds = ", ".join(f"{100 * rate:.0f}" for rate in row["by_seed"])
+        latency = row["latency_ms"]
+        lines.append(
+            f"| {row['variant']} | **{100 * row['success_rate']:.0f} %** of {row['episodes']} "
+            f"| {100 * low:.0f} to {100 * high:.0f} | {seeds} | {row['parameters'] / 1e6:.2f} M "
+            f"| {row['train_core_seconds']:.0f} | {latency['p50']:.1f}, {latency['p95']:.1f} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def plot(rows: Sequence[Row], path: Path) -> None:
+    """Success with intervals, a dot a seed; beside it what a variant costs to train and to ask. Writes a PNG."""
+    from matplotlib.figure import Figure
+
+    ordered = sorted(rows, key=lambda row: row["success_rate"])
+    places = range(len(ordered))
+    figure = Figure(figsize=(9.5, 1.2 + 0.34 * len(ordered)), layout="constrained")
+    reached, training, latency = figure.subplots(1, 3, sharey=True, width_ratios=(2.2, 1, 1))
+    rates = [100 * row["success_rate"] for row in ordered]
+    below = [rate - 100 * row["ci95"][0] for rate, row in zip(rates, ordered, strict=True)]
+    above = [100 * row["ci95"][1] - rate for rate, row in zip(rates, ordered, strict=True)]
+    reached.barh(places, rates, color=BLUE, height=0.62)
+    reached.errorbar(rates, places, xerr=(below, above), fmt="none", ecolor="black", elinewidth=1, capsize=2)
+    for place, row in enumerate(ordered):
+        reached.plot([100 * rate for rate in row["by_seed"]], [place] * len(row["by_seed"]), ".", color=AMBER, ms=5)
+    reached.set(xlim=(0, 100), xlabel="goals reached, % (95 % interval; a dot a seed)")
+    reached.set_yticks(list(places), [row["variant"] for row in ordered])
+    training.barh(places, [row["train_core_seconds"] / 60 for row in ordered], color=GREY, height=0.62)
+    training.set(xlabel="training, core minutes")
+    latency.barh(places, [row["latency_ms"]["p50"] for row in ordered], color=GREY, height=0.62)
+    latency.plot([row["latency_ms"]["p95"] for row in ordered], places, "|", color="black")
+    latency.set(xlabel="one chunk, ms (p50; | p95)", xscale="log")
+    latency.axvline(50, color=AMBER, lw=1)
+    for axes in (reached, training, latency):
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.savefig(path, dpi=130)
