@@ -8,7 +8,8 @@ from playlearn.relabel.geometric import GeometricConfig
 from playlearn.relabel.mixture import MixtureConfig, Share
 from playlearn.relabel.random import RandomConfig
 from playlearn.relabel.settled import SettledConfig
-from playlearn.relabel.table import SettlingConfig, Table
+from playlearn.relabel.settling import SettlingConfig, matching
+from playlearn.relabel.table import Table
 from playlearn.relabel.uniform import FutureConfig, UniformConfig
 
 __all__ = [
@@ -27,4 +28,5 @@ __all__ = [
     "Share",
     "Table",
     "UniformConfig",
+    "matching",
 ]

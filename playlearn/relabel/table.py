@@ -18,36 +18,17 @@ Flat numbering: step t of episode e is `starts[e] + t` (0 <= t < T_e), observati
 row `rows[e] + o` (0 <= o <= T_e), and the settled moments of all episodes stand one after another.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol, Self
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from playlearn.episode import Array
-from playlearn.errors import UsageError
+from playlearn.relabel.settling import SettlingConfig, ranges, thresholds
 
 Indices = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class SettlingConfig:
-    """When the world counts as changed, and when as at rest.
-
-    change: pattern of achieved names -> how far a dimension moves before it has changed (metres; for
-        `*.c` and `*.s`, the cosine and sine of an orientation, their own unit; lamps 0 or 1).
-    rest: pattern -> within what a dimension stays for the world to be at rest.
-    rest_seconds: for how long it must stay there.
-
-    `default` speaks of every name that no pattern matches; of several that match, the last counts.
-    """
-
-    change: dict[str, float] = field(default_factory=lambda: {"default": 0.015, "*.c": 0.15, "*.s": 0.15, "lamp*": 0.5})
-    rest: dict[str, float] = field(default_factory=lambda: {"default": 0.004, "*.c": 0.05, "*.s": 0.05, "lamp*": 0.5})
-    rest_seconds: float = 0.3
 
 
 class Recordings(Protocol):
@@ -81,13 +62,14 @@ class Table:
 
     @classmethod
     def build(cls, achieved: Sequence[Array], names: Sequence[str], fps: float, settling: SettlingConfig) -> Self:
-        """Read the settled moments of each episode's achieved (T+1, G).
+        """Read the settled moments of each episode's achieved (T+1, G); thresholds of null are measured on it.
 
         Raises:
             UsageError: a threshold is missing or not positive.
         """
+        settling = settling.measured(achieved, names, fps)
         change, rest = thresholds(settling.change, names, "change"), thresholds(settling.rest, names, "rest")
-        window = max(1, round(settling.rest_seconds * fps))
+        window = settling.window(fps)
         lengths = np.array([len(rows) - 1 for rows in achieved], np.int64)
         found = [_settled(np.asarray(rows), change, rest, window) for rows in achieved]
         counts = np.array([len(moments) for moments, _, _ in found], np.int64)
@@ -153,22 +135,6 @@ class Table:
         return self.next_moment[self.starts[episode] : self.starts[episode + 1]]
 
 
-def thresholds(patterns: Mapping[str, float], names: Sequence[str], what: str) -> NDArray[np.float64]:
-    """(G,) the threshold of each name.
-
-    Raises:
-        UsageError: a name has none, or one is not positive.
-    """
-    values = []
-    for name in names:
-        matching = [value for pattern, value in patterns.items() if pattern != "default" and fnmatchcase(name, pattern)]
-        value = matching[-1] if matching else patterns.get("default")
-        if value is None or not value > 0:
-            raise UsageError(f"settling.{what}: {name} needs a threshold above 0, got {value}; add one, or `default`")
-        values.append(value)
-    return np.array(values, np.float64)
-
-
 def _settled(achieved: Array, change: Array, rest: Array, window: int) -> tuple[Indices, Indices, NDArray[np.bool_]]:
     """The settled moments (m,), their ends (m,) and what changed (m, G) of one episode's (T+1, G)."""
     resting = _resting(achieved, rest, window)
@@ -196,8 +162,7 @@ def _resting(achieved: Array, rest: Array, window: int) -> NDArray[np.bool_]:
     """(T+1,) whether every dimension stayed within `rest` over the last `window` steps."""
     resting = np.zeros(len(achieved), np.bool_)
     if len(achieved) > window:
-        recent = sliding_window_view(achieved, window + 1, axis=0)  # (T+1-window, G, window+1)
-        resting[window:] = (recent.max(axis=2) - recent.min(axis=2) < rest).all(axis=1)
+        resting[window:] = (ranges(achieved, window) < rest).all(axis=1)
     return resting
 
 

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from playlearn.errors import UsageError
 from playlearn.relabel import SettlingConfig, Table
-from playlearn.relabel.table import thresholds
+from playlearn.relabel.settling import thresholds
 from tests.synthetic import ACHIEVED, FPS, make_episode
 
 NAMES = ("red.x", "lamp.on")
@@ -104,14 +103,3 @@ def test_synthetic_segments_are_all_found() -> None:
     found = Table.build([episode.achieved], ACHIEVED, FPS, SettlingConfig())
     # Segments last 45 to 73 steps and each is one change, so 2,000 steps hold 27 whole ones at least.
     assert 27 <= len(found.moments) <= 1 + 2000 // 45
-
-
-def test_thresholds_match_patterns_and_the_last_counts() -> None:
-    found = thresholds({"default": 1.0, "*.c": 2.0, "red.*": 3.0}, ("blue.x", "blue.c", "red.c"), "change")
-    assert found.tolist() == [1.0, 2.0, 3.0]
-
-
-@pytest.mark.parametrize("patterns", [{"red.*": 0.1}, {"default": 0.0}, {"default": -1.0}])
-def test_a_name_without_a_threshold_is_refused(patterns: dict[str, float]) -> None:
-    with pytest.raises(UsageError, match=r"settling\.rest: lamp\.on"):
-        thresholds({"red.x": 0.1, **patterns}, NAMES, "rest")
