@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from playlearn.episode import IMAGES, Array
 from playlearn.errors import StoreError, UsageError
-from playlearn.relabel import UNIFORMS, GoalSamplerConfig, SettledConfig, SettlingConfig, Table
+from playlearn.relabel import UNIFORMS, GoalSamplerConfig, SettledConfig, SettlingConfig, Table, matching
 from playlearn.store import Store
 
 Indices = NDArray[np.int64]
@@ -78,7 +78,9 @@ class Statistics:
 class DataConfig:
     """How examples are cut from play.
 
-    goals: the goal sampler. settling: what a settled moment is. history: observations a policy sees (T).
+    goals: the goal sampler. settling: what a settled moment is. goal_names: shell-style patterns of the achieved
+        dimensions that a goal speaks of; what else changes settles nothing and is not balanced.
+    history: observations a policy sees (T).
     chunk: actions it predicts (H). cameras, goal_cameras: what is looked through, now and for the goal.
     heldout_share: of the episodes, never trained on. mask_after_goal: actions past the goal teach nothing.
     balance: 0 draws steps as they come; 1 draws each kind of change (which groups of the achieved goal
@@ -90,6 +92,7 @@ class DataConfig:
 
     goals: GoalSamplerConfig = field(default_factory=SettledConfig)
     settling: SettlingConfig = field(default_factory=SettlingConfig)
+    goal_names: tuple[str, ...] = ("*",)
     history: int = 1
     chunk: int = 16
     cameras: tuple[str, ...] = ()
@@ -125,7 +128,7 @@ class PlayDataset:
             raise StoreError(f"{store.name()} has no {split} episodes among its {len(store)}: collect more play")
         self.store, self.config, self.seed = store, config, seed
         achieved = [store.array(int(i), "achieved") for i in self.episodes]
-        self.table = Table.build(achieved, store.spec.achieved_names, store.spec.fps, config.settling)
+        self.table = self._table(np.flatnonzero(~out))
         self.achieved = np.concatenate(achieved)  # (sum T+1, G)
         self.state = np.concatenate([store.array(int(i), "observation.state") for i in self.episodes])
         self.action = np.concatenate([store.array(int(i), "expert_action") for i in self.episodes])  # (sum T, A)
@@ -242,6 +245,18 @@ class PlayDataset:
             orders[epoch] = self.epoch_indices(epoch)
         indices = np.concatenate([orders[e][places[epochs == e] % len(self)] for e in np.unique(epochs).tolist()])
         return self.batch(epochs, indices)
+
+    def _table(self, trained: Indices) -> Table:
+        """The settled moments; thresholds that are left to the data are those of the play that is trained on."""
+        store = self.store
+        spoken = matching(store.spec.achieved_names, self.config.goal_names)
+        names = [store.spec.achieved_names[k] for k in spoken]
+
+        def rows(episodes: Indices) -> Iterator[Array]:
+            return (store.array(int(i), "achieved")[:, spoken] for i in episodes)
+
+        settling = self.config.settling.measured(rows(trained), names, store.spec.fps)
+        return Table.build(list(rows(self.episodes)), names, store.spec.fps, settling)
 
     def _frames(self, camera: str, episode: Indices, rows: Indices) -> torch.Tensor:
         """(B, k, h, w, 3) uint8 of observations rows (B, k)."""

@@ -34,7 +34,7 @@ ADJUSTABLE = ("steps", "max_minutes", "heldout_every", "checkpoint_every", "log_
 class TrainConfig:
     """A training run.
 
-    store: the play. data: how examples are cut from it; its history, chunk and cameras follow the policy's.
+    store: the play. data: how examples are cut from it; its history, chunk, cameras and goal_names are the policy's.
     batch_size: examples an update and process. steps: updates, unless max_minutes of wall clock are over
     before; the learning rate then falls with whichever is further on, and a resumed run is no longer bit for
     bit an unbroken one. lr: peak learning rate, after `warmup` updates, then a cosine to zero.
@@ -83,6 +83,7 @@ class TrainConfig:
             chunk=self.policy.chunk,
             cameras=encoder.observation_cameras,
             goal_cameras=encoder.goal_cameras,
+            goal_names=encoder.goal_names,
         )
         return dataclasses.replace(self, data=data)
 

@@ -11,7 +11,7 @@ import torch
 
 from playlearn.data import Batch, DataConfig, PlayDataset, counter_uniforms, heldout_episodes, statistics
 from playlearn.errors import StoreError, UsageError
-from playlearn.relabel import FinalConfig, FixedConfig, GoalSamplerConfig, UniformConfig
+from playlearn.relabel import FinalConfig, FixedConfig, GoalSamplerConfig, SettlingConfig, UniformConfig
 from playlearn.store import NativeStore, StoreSpec
 from tests.synthetic import make_episode, make_store
 
@@ -183,6 +183,43 @@ def test_balance_draws_rare_changes_as_often_as_common_ones(tmp_path: Path) -> N
         drawn = data.epoch_indices(0)
         assert len(drawn) == len(data)
         assert abs((data.where(drawn)[0] == 4).mean() - share) < 2 / len(data)
+
+
+def test_only_what_the_goal_speaks_of_settles_and_is_balanced(tmp_path: Path) -> None:
+    """Red moves at observation 50 and the lamp goes on at 100, each at rest 6 steps (0.3 s) later."""
+    achieved = np.zeros((201, 7), np.float32)
+    achieved[50:, 0], achieved[100:, 6] = 0.1, 1.0
+    episode = dataclasses.replace(make_episode(np.random.default_rng(0), 200), achieved=achieved)
+    store = NativeStore.create(tmp_path / "play", StoreSpec.of(episode))
+    with store.writer() as writer:
+        writer.append(episode)
+    for names, moments in ((("*",), [56, 106]), (("red.*",), [56]), (("*.x", "lamp.on"), [56, 106]), (("l*",), [106])):
+        data = DataConfig(goal_names=names, heldout_share=0.0, balance=1.0).build(store, "train", 0)
+        assert data.table.moments.tolist() == moments
+        assert len(data) == moments[-1]  # every step before the last settled moment has a goal
+        # The kinds of change that are left share the epoch: one of them alone has all of it.
+        kinds = data.where(data.epoch_indices(0))[1] < 56
+        assert abs(kinds.mean() - {(56, 106): 0.5, (56,): 1.0, (106,): 56 / 106}[tuple(moments)]) < 2 / len(data)
+        assert data.batch(0, np.arange(2)).goal_achieved.shape == (2, 7)  # the batch says everything, as ever
+    with pytest.raises(UsageError, match=r"goal_names: 'green\.\*' matches none of: red\.x"):
+        DataConfig(goal_names=("green.*",), heldout_share=0.0).build(store, "train", 0)
+
+
+def test_both_splits_have_the_thresholds_of_what_is_trained_on(tmp_path: Path) -> None:
+    """Red moves 0.1 m in the episode that is trained on, 0.012 m in the held-out one: a change there, were it alone."""
+    moved = [np.zeros((201, 7), np.float32) for _ in range(2)]
+    moved[0][50:, 0], moved[1][50:, 0] = 0.012, 0.1
+    first = make_episode(np.random.default_rng(0), 200)
+    store = NativeStore.create(tmp_path / "play", StoreSpec.of(first))
+    with store.writer() as writer:
+        for achieved in moved:
+            writer.append(dataclasses.replace(first, achieved=achieved))
+    measured = SettlingConfig(change={"default": None}, rest={"default": None})
+    config = DataConfig(goals=FinalConfig(), settling=measured, heldout_share=0.5)
+    splits = {split: config.build(store, split, 0) for split in ("train", "heldout")}
+    assert splits["heldout"].episodes.tolist() == [0]
+    assert len(splits["train"].table.moments) == 1
+    assert len(splits["heldout"].table.moments) == 0  # 0.012 is less than a seventh of 0.1
 
 
 def test_statistics_are_those_of_the_recorded_rows(store: NativeStore) -> None:
