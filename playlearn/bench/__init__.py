@@ -2,8 +2,22 @@
 
 from playlearn.bench.base import BENCHMARKS, Figure, Size, benchmark, run
 from playlearn.bench.collect import collecting
+from playlearn.bench.data import reading
 from playlearn.bench.grow import growing
 from playlearn.bench.render import rendering
 from playlearn.bench.sim import stepping
+from playlearn.bench.train import training
 
-__all__ = ["BENCHMARKS", "Figure", "Size", "benchmark", "collecting", "growing", "rendering", "run", "stepping"]
+__all__ = [
+    "BENCHMARKS",
+    "Figure",
+    "Size",
+    "benchmark",
+    "collecting",
+    "growing",
+    "reading",
+    "rendering",
+    "run",
+    "stepping",
+    "training",
+]

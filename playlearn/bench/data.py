@@ -1,0 +1,119 @@
+"""Goal-conditioned batches a second of our dataset beside LeRobotDataset's, reading the same frames.
+
+A batch is 64 shuffled examples: the observation through two cameras and its state, the next 16 labels, and an image
+of a goal drawn evenly from the next five seconds. LeRobot knows no goals: as its users must, one more frame is
+fetched for each example, from a second dataset over the same files that brings no chunk along. Each reads what its
+own format holds (ours images as they are; LeRobot's PNG, or video decoded by PyAV) in the main process, and all of
+it comes from the page cache.
+"""
+
+import tempfile
+import time
+import warnings
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from playlearn.bench.base import Figure, Size, benchmark, rates
+from playlearn.bench.worlds import SEED, SIDE
+from playlearn.collect import CollectConfig, collect
+from playlearn.data import Batch, DataConfig, PlayDataset
+from playlearn.relabel import UniformConfig
+from playlearn.sim import CameraConfig
+from playlearn.store import NativeStore
+from playlearn.store.lerobot import export_lerobot
+from playlearn.tasks import PlayTableConfig
+
+EXAMPLES = 64
+CHUNK = 16
+CAMERAS, GOAL_CAMERA = ("front", "wrist"), "front"
+HORIZON = 5.0  # seconds
+
+
+@benchmark("data")
+def reading(size: Size) -> list[Figure]:
+    """One process, no workers; beside LeRobot's images, then its video."""
+    figures = []
+    with tempfile.TemporaryDirectory() as folder:
+        store = _store(Path(folder) / "play", size)
+        goals = UniformConfig(horizon=HORIZON)
+        config = DataConfig(goals=goals, chunk=CHUNK, cameras=CAMERAS, goal_cameras=(GOAL_CAMERA,), heldout_share=0)
+        ours = PlayDataset(store, config, seed=SEED)
+        for kind, videos in (("images", False), ("video", True)):
+            exported = export_lerobot(store, Path(folder) / kind, videos=videos)
+            measured = rates(
+                {
+                    "ours": partial(_turn, _our_batches(ours), max(2, size.steps)),
+                    "peer": partial(_turn, _peer_batches(exported, store.spec.fps), max(1, size.steps // 100)),
+                },
+                size.rounds,
+            )
+            named = f"goal batches of {EXAMPLES}, chunk {CHUNK}, {kind}"
+            figures.append(Figure.beside(named, "batches/s", measured, f"LeRobotDataset, {kind}"))
+    return figures
+
+
+def _store(out: Path, size: Size) -> NativeStore:
+    world = PlayTableConfig(cameras={name: CameraConfig(SIDE, SIDE) for name in CAMERAS})
+    collect(CollectConfig(environment=world, cameras=CAMERAS, episodes=4, steps=size.steps, seed=SEED), out, workers=0)
+    return NativeStore.open(out)
+
+
+def _turn(batches: Iterator[Any], count: int) -> tuple[int, float]:
+    began = time.perf_counter()
+    for _ in range(count):
+        next(batches)
+    return count, time.perf_counter() - began
+
+
+def _our_batches(dataset: PlayDataset) -> Iterator[Batch]:
+    """In the calling thread; training also prepares the next one in a thread beside."""
+    epoch = 0
+    while True:
+        order = dataset.epoch_indices(epoch)
+        for start in range(0, len(order), EXAMPLES):
+            yield dataset.batch(epoch, order[start : start + EXAMPLES])
+        epoch += 1
+
+
+class _PeerGoals(torch.utils.data.Dataset[dict[str, Any]]):
+    """LeRobotDataset, each item with the image of a later frame of its episode."""
+
+    def __init__(self, root: Path, fps: float) -> None:
+        # Seconds to import: only who measures it pays.
+        from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+        ahead = [step / fps for step in range(CHUNK)]
+        name = f"local/{root.name}"
+        self.frames = LeRobotDataset(name, root=root, delta_timestamps={"action": ahead}, video_backend="pyav")
+        self.goals = LeRobotDataset(name, root=root, video_backend="pyav")
+        self.horizon = round(HORIZON * fps)
+        self.ends = [int(end) for end in self.frames.meta.episodes["dataset_to_index"]]
+        self.draws = torch.Generator().manual_seed(SEED)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        item: dict[str, Any] = self.frames[index]
+        furthest = min(index + self.horizon, self.ends[int(item["episode_index"])] - 1)
+        goal = int(torch.randint(index, furthest + 1, (), generator=self.draws))
+        key = f"observation.images.{GOAL_CAMERA}"
+        return item | {f"observation.images.goal_{GOAL_CAMERA}": self.goals[goal][key]}
+
+
+def _peer_batches(root: Path, fps: float) -> Iterator[Any]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        loader = torch.utils.data.DataLoader(
+            _PeerGoals(root, fps),
+            EXAMPLES,
+            shuffle=True,
+            generator=torch.Generator().manual_seed(SEED),
+            num_workers=0,
+        )
+        while True:
+            yield from loader

@@ -1,0 +1,163 @@
+"""Updates a second of our diffusion policy beside LeRobot's DiffusionPolicy, on one batch held in memory.
+
+Held equal: the batch; three images an example (front and wrist now, front in the goal: to LeRobot, whose policies
+know no goals, a third camera), their size, state and action; one observation of history, the chunk, the length of
+the noise schedule; the number of parameters as nearly as each one's own sizes allow, which the figure's name tells;
+AdamW or Adam in float32; one thread, so that other work on the machine disturbs neither more. An update is forward,
+backward, clipping of the gradient and the optimiser's step.
+
+In LeRobot's favour: its images come as normalised floats (its processor makes them so before every update), ours as
+they are stored; ours keeps an average of its weights besides.
+"""
+
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from playlearn.bench.base import Figure, Size, benchmark, rates
+from playlearn.bench.worlds import SEED, SIDE
+from playlearn.data import Batch
+from playlearn.policies import Policy, PolicyConfig, PolicySpec
+from playlearn.policies.ema import averaged
+from playlearn.policies.encoders import CNNConfig, ImageConfig, TorchvisionConfig
+from playlearn.policies.heads import DiffusionConfig
+
+EXAMPLES = 8  # of an update; LeRobot's own default too
+CHUNK = 16
+STATE, ACHIEVED, ACTION = 10, 20, 7  # PlayTable's
+CAMERAS, GOAL_CAMERA = ("front", "wrist"), "front"
+
+
+@benchmark("train")
+def training(size: Size) -> list[Figure]:
+    """The same vision network in both (ResNet-18, group norm); then our own in ours, its denoiser widened to match."""
+    torch.set_num_threads(1)  # of the process that is this benchmark's own
+    resnet = TorchvisionConfig(cameras=CAMERAS, goal_camera=GOAL_CAMERA, fusion="late")
+    cnn = CNNConfig(cameras=CAMERAS, goal_camera=GOAL_CAMERA, fusion="late")
+    return [
+        _figure("ResNet-18 in both", _ours(resnet, DiffusionConfig(noise_draws=1)), _peer((128, 256, 512), 128), size),
+        _figure("our CNN, ResNet-18", _ours(cnn, DiffusionConfig(width=1280)), _peer((64, 128, 256), 64), size),
+    ]
+
+
+def _figure(what: str, ours: Policy, peer: Any, size: Size) -> Figure:
+    updates = max(1, size.steps // 50)
+    measured = rates(
+        {"ours": partial(_turn, _our_update(ours), updates), "peer": partial(_turn, _peer_update(peer), updates)},
+        size.rounds,
+    )
+    parameters = [sum(p.numel() for p in policy.parameters()) / 1e6 for policy in (ours, peer)]
+    return Figure.beside(
+        f"train, {what}, {parameters[0]:.1f} M and {parameters[1]:.1f} M parameters",
+        "updates/s",
+        measured,
+        "LeRobot's DiffusionPolicy",
+    )
+
+
+def _turn(update: Callable[[], None], updates: int) -> tuple[int, float]:
+    began = time.perf_counter()
+    for _ in range(updates):
+        update()
+    return updates, time.perf_counter() - began
+
+
+def _ours(encoder: ImageConfig, head: DiffusionConfig) -> Policy:
+    def names(kind: str, count: int) -> tuple[str, ...]:
+        return tuple(f"{kind}.{i}" for i in range(count))
+
+    spec = PolicySpec(
+        names("state", STATE),
+        names("achieved", ACHIEVED),
+        names("action", ACTION),
+        fps=20.0,
+        cameras=dict.fromkeys(CAMERAS, (SIDE, SIDE)),
+    )
+    return PolicyConfig(encoder=encoder, head=head, chunk=CHUNK).build(spec, None, SEED)
+
+
+def _our_update(policy: Policy) -> Callable[[], None]:
+    """As `playlearn train` makes one."""
+    optimizer = torch.optim.AdamW(policy.parameters(), fused=True)
+    ema, generator = averaged(policy, 0.999), torch.Generator().manual_seed(SEED)
+    images = dict.fromkeys(CAMERAS, torch.randint(256, (EXAMPLES, 1, SIDE, SIDE, 3), dtype=torch.uint8))
+    batch = Batch(
+        state=torch.randn(EXAMPLES, 1, STATE),
+        achieved=torch.randn(EXAMPLES, 1, ACHIEVED),
+        images=images,
+        history_mask=torch.ones(EXAMPLES, 1, dtype=torch.bool),
+        goal_achieved=torch.randn(EXAMPLES, ACHIEVED),
+        goal_state=torch.randn(EXAMPLES, STATE),
+        goal_images={GOAL_CAMERA: images[GOAL_CAMERA][:, 0]},
+        action=torch.rand(EXAMPLES, CHUNK, ACTION) * 2 - 1,
+        action_mask=torch.ones(EXAMPLES, CHUNK, dtype=torch.bool),
+        steps_to_goal=torch.ones(EXAMPLES, dtype=torch.int64),
+    )
+
+    def update() -> None:
+        _learn(policy, optimizer, policy(batch, generator)[0])
+        ema.update_parameters(policy)
+
+    return update
+
+
+def _peer(down_dims: tuple[int, ...], embedding: int) -> Any:
+    """LeRobot's policy at its defaults but for sizes: one ResNet-18 for all cameras, group norm, no download."""
+    # Seconds to import: only who measures it pays.
+    from lerobot.configs.types import FeatureType, PolicyFeature
+    from lerobot.policies.diffusion.configuration_diffusion import DiffusionConfig as PeerConfig
+    from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy
+
+    with torch.random.fork_rng(devices=[]):
+        torch.random.manual_seed(SEED)
+        return DiffusionPolicy(
+            PeerConfig(
+                n_obs_steps=1,
+                horizon=CHUNK,
+                n_action_steps=CHUNK // 2,
+                input_features={
+                    "observation.state": PolicyFeature(FeatureType.STATE, (STATE,)),
+                    **{key: PolicyFeature(FeatureType.VISUAL, (3, SIDE, SIDE)) for key in _peer_images()},
+                },
+                output_features={"action": PolicyFeature(FeatureType.ACTION, (ACTION,))},
+                pretrained_backbone_weights=None,
+                use_group_norm=True,
+                use_separate_rgb_encoder_per_camera=False,
+                down_dims=down_dims,
+                diffusion_step_embed_dim=embedding,
+                device="cpu",
+            )
+        )
+
+
+def _peer_images() -> tuple[str, ...]:
+    return *(f"observation.images.{camera}" for camera in CAMERAS), f"observation.images.goal_{GOAL_CAMERA}"
+
+
+def _peer_update(policy: Any) -> Callable[[], None]:
+    """As `lerobot-train` makes one."""
+    preset = policy.config.get_optimizer_preset()
+    optimizer = preset.build(policy.get_optim_params())
+    batch = {
+        "observation.state": torch.randn(EXAMPLES, 1, STATE),
+        "action": torch.rand(EXAMPLES, CHUNK, ACTION) * 2 - 1,
+        "action_is_pad": torch.zeros(EXAMPLES, CHUNK, dtype=torch.bool),
+        **{key: torch.randn(EXAMPLES, 1, 3, SIDE, SIDE) for key in _peer_images()},
+    }
+    policy.train()
+
+    def update() -> None:
+        _learn(policy, optimizer, policy(batch)[0])
+
+    return update
+
+
+def _learn(policy: nn.Module, optimizer: torch.optim.Optimizer, loss: Tensor) -> None:
+    optimizer.zero_grad()
+    loss.backward()
+    nn.utils.clip_grad_norm_(policy.parameters(), 1.0)
+    optimizer.step()
