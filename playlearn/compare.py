@@ -223,6 +223,7 @@ def blank(policy: Policy) -> Inputs:
         achieved=achieved.expand(1, steps, -1),
         history_mask=torch.ones(1, steps, dtype=torch.bool),
         goal_achieved=achieved.expand(1, -1),
+        goal_state=state.expand(1, -1),
         images={camera: black(camera, 1, steps) for camera in encoder.observation_cameras},
         goal_images={camera: black(camera, 1) for camera in encoder.goal_cameras},
     )

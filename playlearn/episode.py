@@ -39,13 +39,15 @@ class Observation:
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """What is to be reached: achieved (G,) float32 and images camera -> (h, w, 3) uint8 of one moment.
+    """What is to be reached: achieved (G,) float32, images camera -> (h, w, 3) uint8 and state (S,) of one moment.
 
-    A policy reads the part its encoder was built for; a scripted expert reads `achieved`.
+    A policy reads the part its encoder was built for; a scripted expert reads `achieved`. state: the robot's own
+    body there, None where nothing is said of it.
     """
 
     achieved: Array
     images: Mapping[str, Array] = field(default_factory=dict)
+    state: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -92,9 +92,9 @@ class Trained:
         """
         if not self.run.is_dir():
             raise CheckpointError(f"there is no run at {self.run}; make one with: playlearn train --out {self.run}")
-        reads = load_policy(self.run / "policy").config.encoder.goal
-        if reads != self.goal:
-            raise UsageError(f"{self.run} reads its goal from {_ARTICLE[reads]}: use --goal {reads}")
+        reads = load_policy(self.run / "policy").config.encoder.goals
+        if self.goal not in reads:
+            raise UsageError(f"{self.run} reads its goal from {_ARTICLE[reads[0]]}: use --goal {reads[0]}")
 
     def cameras(self) -> tuple[str, ...]:
         return load_policy(self.run / "policy").cameras
@@ -105,7 +105,9 @@ class Trained:
         seen = {} if missing else environment.observe(policy.cameras).images
         policy.check(environment.spec, {camera: (image.shape[0], image.shape[1]) for camera, image in seen.items()})
         _check_controller(policy.spec.controller, environment.spec.controller)
-        return PolicyActor(policy, execute=self._execute(policy), guidance=self.guidance, name=self.name)
+        return PolicyActor(
+            policy, execute=self._execute(policy), guidance=self.guidance, name=self.name, goal=self.goal
+        )
 
     def describe(self) -> dict[str, Any]:
         policy = load_policy(self.run / "policy")

@@ -116,4 +116,5 @@ def goal_from(environment: Environment, cameras: Sequence[str]) -> Goal:
     return Goal(
         achieved=np.array(seen.achieved, dtype=np.float32),
         images={camera: np.array(image) for camera, image in seen.images.items()},
+        state=np.array(seen.state, dtype=np.float32),
     )

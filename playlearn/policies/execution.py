@@ -46,7 +46,8 @@ class PolicyActor:
     execute: actions of a chunk that are carried out before the next plan (receding horizon).
     guidance: weight of the goal, see `Policy.act`. ensemble: None, or the rate m of temporal
     ensembling: a plan at every step, and all plans for a moment averaged with weight exp(-m i), i = 0
-    for the oldest (Zhao et al. 2023); `execute` is then 1.
+    for the oldest (Zhao et al. 2023); `execute` is then 1. goal: what of a goal it is shown, where it can
+    read either (None: the policy's first choice).
 
     What one environment gets does not depend on the others: each has a generator of its own, and a
     plan is always computed for all K rows, so that every row sees the same arithmetic.
@@ -59,6 +60,7 @@ class PolicyActor:
         guidance: float | None = None,
         ensemble: float | None = None,
         name: str = "policy",
+        goal: str | None = None,
     ) -> None:
         chunk = policy.config.chunk
         if not 1 <= execute <= chunk:
@@ -67,20 +69,27 @@ class PolicyActor:
         self.policy = policy.eval()
         self.execute = execute if ensemble is None else 1
         self.guidance, self.ensemble = guidance, ensemble
+        encoder = policy.config.encoder
+        reads = encoder.goals[0] if goal is None else goal
+        if reads not in encoder.goals:
+            raise UsageError(f"{name} reads its goal from {' or '.join(encoder.goals)}, not from {reads}")
+        self._goal_cameras = encoder.goal_cameras if reads == "image" else ()
         self._rows: list[_Row] = []
 
     def reset(self, goals: Sequence[Goal | None], seeds: Sequence[int]) -> None:
         """Begin K episodes; forgets the ones before.
 
         Raises:
-            UsageError: a goal is missing, or shows none of the cameras the policy reads goals from.
+            UsageError: a goal is missing, or lacks the image, or the robot's state, that the policy reads.
         """
         for goal in goals:
-            for camera in self.policy.config.encoder.goal_cameras:
+            for camera in self._goal_cameras:
                 if goal is None or camera not in goal.images:
                     raise UsageError(f"{self.name} reads its goal from a {camera!r} image, and there is none")
             if goal is None:
                 raise UsageError(f"{self.name} needs a goal")
+            if goal.state is None and self.policy.config.encoder.goal_body:
+                raise UsageError(f"{self.name} was taught goals that say where the arm is, and this one does not")
         steps = self.policy.config.history
         self._rows = [
             _Row(goal, torch.Generator().manual_seed(seed), deque(maxlen=steps))
@@ -142,6 +151,9 @@ class PolicyActor:
                 [[False] * (steps - len(row.history)) + [True] * len(row.history) for row in self._rows]
             ),
             goal_achieved=torch.from_numpy(np.stack([goal.achieved for goal in goals])),
+            goal_state=torch.from_numpy(
+                np.stack([o[-1].state if g.state is None else g.state for o, g in zip(histories, goals, strict=True)])
+            ),
             images={c: stack([o.images[c] for o in moments]) for c in encoder.observation_cameras},
-            goal_images={c: torch.from_numpy(np.stack([g.images[c] for g in goals])) for c in encoder.goal_cameras},
+            goal_images={c: torch.from_numpy(np.stack([g.images[c] for g in goals])) for c in self._goal_cameras},
         )

@@ -25,6 +25,8 @@ class Observed(Protocol):
     @property
     def goal_achieved(self) -> Tensor: ...
     @property
+    def goal_state(self) -> Tensor: ...
+    @property
     def goal_images(self) -> Mapping[str, Tensor]: ...
 
 
@@ -43,13 +45,15 @@ class Inputs:
 
     state (B, T, S), achieved (B, T, G), images camera -> (B, T, h, w, 3) uint8, history_mask (B, T) bool,
     False where the history was padded by repeating its first observation; goal_achieved (B, G),
-    goal_images camera -> (B, h, w, 3) uint8.
+    goal_state (B, S) of the robot at the goal, goal_images camera -> (B, h, w, 3) uint8, empty where the
+    goal is shown as a state.
     """
 
     state: Tensor
     achieved: Tensor
     history_mask: Tensor
     goal_achieved: Tensor
+    goal_state: Tensor
     images: Mapping[str, Tensor] = field(default_factory=dict)
     goal_images: Mapping[str, Tensor] = field(default_factory=dict)
 
@@ -59,6 +63,7 @@ class Inputs:
             achieved=self.achieved.to(device),
             history_mask=self.history_mask.to(device),
             goal_achieved=self.goal_achieved.to(device),
+            goal_state=self.goal_state.to(device),
             images={camera: frames.to(device) for camera, frames in self.images.items()},
             goal_images={camera: frames.to(device) for camera, frames in self.goal_images.items()},
         )

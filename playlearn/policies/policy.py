@@ -223,8 +223,13 @@ class Policy(nn.Module):
             achieved=normalise("achieved", inputs.achieved.to(device)),
             history_mask=inputs.history_mask.to(device),
             goal_achieved=normalise("achieved", inputs.goal_achieved.to(device)),
+            goal_state=normalise("state", inputs.goal_state.to(device)),
             images={camera: inputs.images[camera].to(device) for camera in encoder.observation_cameras},
-            goal_images={camera: inputs.goal_images[camera].to(device) for camera in encoder.goal_cameras},
+            goal_images={
+                camera: inputs.goal_images[camera].to(device)
+                for camera in encoder.goal_cameras
+                if camera in inputs.goal_images
+            },
         )
 
 

@@ -49,6 +49,7 @@ class Examples:
     achieved: torch.Tensor
     history_mask: torch.Tensor
     goal_achieved: torch.Tensor
+    goal_state: torch.Tensor
     action: torch.Tensor
     action_mask: torch.Tensor
     images: Mapping[str, torch.Tensor] = field(default_factory=dict)
@@ -117,6 +118,7 @@ def examples(count: int = 5, history: int = 1, seed: int = 0) -> Examples:
         action_mask=torch.ones(count, H, dtype=torch.bool),
         images={"front": frames(count, history), "wrist": frames(count, history)},
         goal_images={"front": frames(count)},
+        goal_state=numbers(count, S),
     )
 
 

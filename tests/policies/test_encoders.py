@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from playlearn.errors import UsageError
+from playlearn.policies.encoders.cameras import pixels, random_shift
 from playlearn.policies.encoders.cnn import SpatialSoftmax
-from playlearn.policies.encoders.image import pixels, random_shift
 from playlearn.policies.encoders.objects import ObjectTokens
 from tests.policies.parts import ENCODERS, SPEC, examples, generator, policy
 

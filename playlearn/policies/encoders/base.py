@@ -1,7 +1,7 @@
 """What every encoder offers: observation history and goal in, tokens out."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 import draccus
 import torch
@@ -19,8 +19,12 @@ class EncoderConfig(draccus.ChoiceRegistry):
     goal_names: shell-style patterns of the achieved dimensions that a goal speaks of.
     """
 
-    goal: ClassVar[Modality]
     goal_names: tuple[str, ...] = ("*",)
+
+    @property
+    def goals(self) -> tuple[Modality, ...]:
+        """What a goal may be shown as; the first where nothing else is said."""
+        raise NotImplementedError
 
     @property
     def observation_cameras(self) -> tuple[str, ...]:
@@ -29,8 +33,13 @@ class EncoderConfig(draccus.ChoiceRegistry):
 
     @property
     def goal_cameras(self) -> tuple[str, ...]:
-        """The cameras a goal must bring."""
+        """The cameras a goal that is an image must bring."""
         return ()
+
+    @property
+    def goal_body(self) -> bool:
+        """Whether a goal must bring the robot's own state."""
+        return False
 
     def build(self, spec: PolicySpec, width: int, *, fetch: bool = True) -> "Encoder":
         """width: D of a token. fetch: whether weights may be downloaded, if the config asks for any."""

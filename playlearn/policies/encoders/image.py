@@ -1,13 +1,14 @@
-"""What image encoders share: fusion of observation and goal, extra cameras, privileged supervision, random shifts."""
+"""What encoders of one vector a camera share: fusion of observation and goal, privileged supervision."""
 
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import Literal
 
 import torch
 from torch import Tensor, nn
 
 from playlearn.errors import UsageError
-from playlearn.policies.encoders.base import Encoder, EncoderConfig, Modality, Tokens
+from playlearn.policies.encoders.base import Encoder, Tokens
+from playlearn.policies.encoders.cameras import CamerasConfig, pixels, random_shift
 from playlearn.policies.encoders.objects import ObjectTokens, mlp
 from playlearn.policies.inputs import Observed, PolicySpec
 
@@ -20,52 +21,37 @@ class AuxiliaryConfig:
 
 
 @dataclass(frozen=True)
-class ImageConfig(EncoderConfig):
-    """The fields that every image encoder has.
+class ImageConfig(CamerasConfig):
+    """The fields that each of them has.
 
-    cameras: what the policy sees. goal_camera: one of them, in which goals are shown.
     fusion: `early` stacks observation and goal along the channels; `late` runs one network over each.
-    features: width of a camera's feature vector. hidden: units of the small networks behind it.
+    features: width of a camera's feature vector.
     auxiliary: see AuxiliaryConfig. feed_estimate: hand the estimated achieved of observation and goal and
-    their difference to the policy, as the state encoder does with the true ones. feed_cameras: the cameras
-    whose features the policy sees beside them (null: all). detach_estimate: the
-    policy's own loss does not shape the estimates. shift: random shift of the images in training, in
-    pixels, the same for observation and goal.
+    their difference to the policy, as the state encoder does with the true ones; a goal that is a state needs no
+    estimate. feed_cameras: the cameras whose features the policy sees beside them (null: all).
+    detach_estimate: the policy's own loss does not shape the estimates.
     """
 
-    goal: ClassVar[Modality] = "image"
-    cameras: tuple[str, ...] = ("front", "wrist")
-    goal_camera: str = "front"
     fusion: Literal["early", "late"] = "early"
     features: int = 256
-    hidden: int = 256
     auxiliary: AuxiliaryConfig = field(default_factory=AuxiliaryConfig)
     feed_estimate: bool = False
     feed_cameras: tuple[str, ...] | None = None
     detach_estimate: bool = True
-    shift: int = 0
-
-    @property
-    def observation_cameras(self) -> tuple[str, ...]:
-        return self.cameras
-
-    @property
-    def goal_cameras(self) -> tuple[str, ...]:
-        return (self.goal_camera,)
 
     def backbone(self, channels: int, size: tuple[int, int], *, fetch: bool) -> nn.Module:
         """(B, channels, h, w) in [-1, 1] -> (B, features)."""
         raise NotImplementedError
 
     def build(self, spec: PolicySpec, width: int, *, fetch: bool = True) -> "ImageEncoder":
-        if self.goal_camera not in self.cameras:
-            raise UsageError(f"encoder.goal_camera {self.goal_camera!r} is not among encoder.cameras {self.cameras}")
+        self.check()
         if self.feed_estimate and self.auxiliary.achieved <= 0:
             raise UsageError("encoder.feed_estimate needs encoder.auxiliary.achieved above 0: nothing else trains it")
         unknown = set(self.feed_cameras or ()) - set(self.cameras)
         if unknown:
             raise UsageError(f"encoder.feed_cameras: {min(unknown)!r} is not among encoder.cameras {self.cameras}")
-        if self.feed_cameras is not None and self.goal_camera not in self.feed_cameras and not self.feed_estimate:
+        pictured = self.feed_cameras is None or self.goal_camera in self.feed_cameras
+        if not pictured and not self.feed_estimate and self.goal != "state":
             raise UsageError(
                 "encoder.feed_cameras without the goal's camera needs encoder.feed_estimate: no goal is seen"
             )
@@ -75,6 +61,8 @@ class ImageConfig(EncoderConfig):
 class ImageEncoder(Encoder):
     """A goal token, then for each step one token a camera and one for the robot's own state.
 
+    The goal token says whether there is a goal, and what it is where it is a state or fused late.
+
     With `feed_estimate` there is also a token an object, made from the estimated achieved of observation
     and goal. The true `achieved` is never read outside `auxiliary`.
     """
@@ -82,50 +70,57 @@ class ImageEncoder(Encoder):
     def __init__(self, config: ImageConfig, spec: PolicySpec, width: int, *, fetch: bool) -> None:
         super().__init__()
         self.config = config
-        early = config.fusion == "early"
+        self.fused = config.fusion == "early" and "image" in config.goals
         size = spec.cameras[config.goal_camera]
         others = [camera for camera in config.cameras if camera != config.goal_camera]
-        self.front = config.backbone(6 if early else 3, size, fetch=fetch)
+        self.front = config.backbone(6 if self.fused else 3, size, fetch=fetch)
         self.others = nn.ModuleDict(
             {camera: config.backbone(3, spec.cameras[camera], fetch=fetch) for camera in others}
         )
         features, state = config.features, len(spec.state_names)
         fed = config.cameras if config.feed_cameras is None else config.feed_cameras
         self.project = nn.ModuleDict({camera: nn.Linear(features, width) for camera in fed})
-        goal_fed = config.goal_camera in fed and not early
+        goal_fed = config.goal_camera in fed and not self.fused and "image" in config.goals
         self.project_goal = nn.Linear(features, width) if goal_fed else None
-        self.goal_flag = nn.Parameter(torch.randn(2, width) * 0.02)  # without, with a goal
+        # without a goal, with one, and where there are two sorts with one that is a state
+        self.goal_flag = nn.Parameter(torch.randn(1 + len(config.goals), width) * 0.02)
         self.goal_tokens, self.step_tokens = 1, len(fed) + 1
 
         self.estimate = _Estimate(config, len(spec.achieved_names), state) if config.auxiliary.achieved > 0 else None
         self.objects: ObjectTokens | None = None
         self.proprio: nn.Module | None = None
+        self.told: StatedGoal | None = None
         if config.feed_estimate:
             self.objects = ObjectTokens(spec, config.goal_names, config.hidden, width)
             self.step_tokens += self.objects.count - 1
         else:
             self.proprio = mlp(state, config.hidden, width)
+            if "state" in config.goals:
+                self.told = StatedGoal(spec, config.goal_names, config.hidden, width)
 
     def forward(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
         config, (batch, steps) = self.config, inputs.state.shape[:2]
-        shown = inputs.images[config.goal_camera]  # (B, T, h, w, 3)
-        wanted = inputs.goal_images[config.goal_camera]  # (B, h, w, 3)
-        shown, wanted = self._shift(torch.cat([shown, wanted.unsqueeze(1)], dim=1), generator).split([steps, 1], 1)
-
-        seen, goal_seen = self._see(shown, wanted, keep)  # (B, T, F), (B, F) or (B, T, F)
+        pictured = config.pictured(inputs, generator)  # (B,)
+        seen, goal_seen = self._see(inputs, keep & pictured, generator)  # (B, T, F), (B, F)
         features = {config.goal_camera: seen}
         for camera, backbone in self.others.items():
-            frames = self._shift(inputs.images[camera], generator)
+            frames = random_shift(inputs.images[camera], config.shift, generator)
             features[camera] = backbone(pixels(frames.flatten(0, 1))).unflatten(0, (batch, steps))
         step_tokens = [project(features[camera]).unsqueeze(2) for camera, project in self.project.items()]
 
-        goal_token = self.goal_flag[keep.long()]  # (B, D)
-        if self.project_goal is not None:
-            goal_token = goal_token + torch.where(keep[:, None], self.project_goal(goal_seen), 0.0)
+        sort = keep.long() if len(config.goals) == 1 else keep * (2 - pictured.long())
+        goal_token = self.goal_flag[sort]  # (B, D)
+        if self.project_goal is not None and goal_seen is not None:
+            goal_token = goal_token + torch.where((keep & pictured)[:, None], self.project_goal(goal_seen), 0.0)
+        if self.told is not None:
+            goal_token = goal_token + torch.where((keep & ~pictured)[:, None], self.told(inputs.goal_achieved), 0.0)
 
         observed = goal = None
         if self.estimate is not None:
-            observed, goal = self.estimate(features, goal_seen, inputs.state)
+            observed = self.estimate(features, inputs.state)
+            goal = inputs.goal_achieved
+            if goal_seen is not None:
+                goal = torch.where(pictured[:, None], self.estimate.wanted(goal_seen), goal)
         if self.objects is not None and observed is not None and goal is not None:
             now, then = (observed.detach(), goal.detach()) if config.detach_estimate else (observed, goal)
             step_tokens.append(self.objects(inputs.state, now, then, keep))
@@ -141,27 +136,45 @@ class ImageEncoder(Encoder):
         loss = loss + nn.functional.smooth_l1_loss(tokens.wanted, inputs.goal_achieved, beta=0.1)
         return {"achieved": self.config.auxiliary.achieved * loss}
 
-    def _see(self, shown: Tensor, wanted: Tensor, keep: Tensor) -> tuple[Tensor, Tensor]:
-        """Features (B, T, F) of the observation, (B, F) of the goal; fused early, the last step's tell both."""
-        batch, steps = shown.shape[:2]
-        if self.config.fusion == "early":
+    def _see(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None) -> tuple[Tensor, Tensor | None]:
+        """Features (B, T, F) of the observation, (B, F) of the goal image if any; fused, the last step's tell both.
+
+        keep: (B,) bool, whose goal image may be seen.
+        """
+        config, (batch, steps) = self.config, inputs.state.shape[:2]
+        shown = inputs.images[config.goal_camera]  # (B, T, h, w, 3)
+        if config.goal_camera not in inputs.goal_images and not self.fused:
+            shown = random_shift(shown, config.shift, generator)
+            return self.front(pixels(shown.flatten(0, 1))).unflatten(0, (batch, steps)), None
+        wanted = inputs.goal_images.get(config.goal_camera, torch.zeros_like(shown[:, 0]))  # (B, h, w, 3)
+        both = torch.cat([shown, wanted.unsqueeze(1)], dim=1)
+        shown, wanted = random_shift(both, config.shift, generator).split([steps, 1], 1)
+        if self.fused:
             stacked = torch.cat([shown, wanted.expand(-1, steps, -1, -1, -1)], dim=-1)  # (B, T, h, w, 6)
             scaled = pixels(stacked.flatten(0, 1))  # (B T, 6, h, w)
             withheld = ~keep.repeat_interleave(steps)
             scaled[:, 3:].masked_fill_(withheld[:, None, None, None], 0.0)  # mid-grey
             seen: Tensor = self.front(scaled).unflatten(0, (batch, steps))
             return seen, seen[:, -1]
-        both = self.front(pixels(torch.cat([shown, wanted], dim=1).flatten(0, 1))).unflatten(0, (batch, steps + 1))
-        return both[:, :-1], both[:, -1]
+        seen = self.front(pixels(torch.cat([shown, wanted], dim=1).flatten(0, 1))).unflatten(0, (batch, steps + 1))
+        return seen[:, :-1], seen[:, -1]
 
-    def _shift(self, frames: Tensor, generator: torch.Generator | None) -> Tensor:
-        if generator is None or self.config.shift == 0:
-            return frames
-        return random_shift(frames, self.config.shift, generator)
+
+class StatedGoal(nn.Module):
+    """(B, G) normalised achieved of a goal -> (B, D), of the parts alone that goals speak of."""
+
+    def __init__(self, spec: PolicySpec, goal_names: tuple[str, ...], hidden: int, width: int) -> None:
+        super().__init__()
+        self.register_buffer("spoken", torch.tensor(spec.select(goal_names)), persistent=False)
+        self.net = mlp(len(self.get_buffer("spoken")), hidden, width)
+
+    def forward(self, goal: Tensor) -> Tensor:
+        out: Tensor = self.net(goal[:, self.get_buffer("spoken")])
+        return out
 
 
 class _Estimate(nn.Module):
-    """Normalised achieved of the observation from all cameras and the state, of the goal from its image alone."""
+    """Normalised achieved of the observation from all cameras and the state, of the goal (wanted) from its image."""
 
     def __init__(self, config: ImageConfig, achieved: int, state: int) -> None:
         super().__init__()
@@ -169,35 +182,9 @@ class _Estimate(nn.Module):
         self.observed = mlp(seen, config.hidden, achieved)
         self.wanted = mlp(config.features, config.hidden, achieved)
         # fused late, one network looks at both images, so one head may learn from both
-        self.shared = config.fusion == "late"
+        self.shared = config.fusion == "late" or config.goal == "state"
         self.camera = config.goal_camera
 
-    def forward(self, features: dict[str, Tensor], goal_seen: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        observed = self.observed(torch.cat([*features.values(), state], dim=-1))  # (B, T, G)
-        if self.shared:
-            observed = observed + self.wanted(features[self.camera])
-        return observed, self.wanted(goal_seen)
-
-
-def pixels(frames: Tensor) -> Tensor:
-    """(B, h, w, C) uint8 -> (B, C, h, w) float32 in [-1, 1], laid out channels last, which CPUs convolve fastest."""
-    return frames.float().mul_(2 / 255).sub_(1).permute(0, 3, 1, 2)
-
-
-def channels_last[M: nn.Module](network: M) -> M:
-    """The same network with its convolutions laid out as `pixels` lays out images."""
-    return network.to(memory_format=torch.channels_last)  # type: ignore[no-any-return, call-overload]
-
-
-def random_shift(frames: Tensor, limit: int, generator: torch.Generator) -> Tensor:
-    """Shift each example's (T, h, w, C) frames by up to `limit` pixels, edges repeated (DrQ, Yarats et al. 2021)."""
-    batch, steps, height, width, channels = frames.shape
-    offsets = torch.randint(-limit, limit + 1, (2, batch, 1), generator=generator, device=generator.device)
-    offsets = offsets.to(frames.device)
-    rows = (torch.arange(height, device=frames.device) + offsets[0]).clamp_(0, height - 1)  # (B, h)
-    columns = (torch.arange(width, device=frames.device) + offsets[1]).clamp_(0, width - 1)  # (B, w)
-    places = (rows[:, :, None] * width + columns[:, None, :]).flatten(1)  # (B, h w)
-    frame = torch.arange(batch * steps, device=frames.device).view(batch, steps, 1) * (height * width)
-    # pixels picked by one flat index: three times as quick on a CPU as indexing rows and columns
-    moved = frames.reshape(-1, channels).index_select(0, (frame + places[:, None]).flatten())
-    return moved.view(frames.shape)
+    def forward(self, features: dict[str, Tensor], state: Tensor) -> Tensor:
+        observed: Tensor = self.observed(torch.cat([*features.values(), state], dim=-1))  # (B, T, G)
+        return observed + self.wanted(features[self.camera]) if self.shared else observed

@@ -18,9 +18,11 @@ NEAR = 4.0  # what is told finely: a difference of a quarter of the data's sprea
 
 
 class ObjectTokens(nn.Module):
-    """See the module's docstring. count: M, the objects and, last, the robot."""
+    """See the module's docstring. count: M, the objects and, last, the robot. arm: a goal speaks of the robot too."""
 
-    def __init__(self, spec: PolicySpec, goal_names: tuple[str, ...], hidden: int, width: int) -> None:
+    def __init__(
+        self, spec: PolicySpec, goal_names: tuple[str, ...], hidden: int, width: int, *, arm: bool = False
+    ) -> None:
         super().__init__()
         chosen = set(spec.select(goal_names))
         groups: dict[str, list[int]] = {}
@@ -34,13 +36,21 @@ class ObjectTokens(nn.Module):
         self.kinds = nn.ModuleList(
             _Kind(parts, members, chosen, robot, hidden, width) for parts, members in kinds.items()
         )
-        self.robot = mlp(len(spec.state_names), hidden, width)
+        self.arm, body = arm, len(spec.state_names)
+        self.robot = mlp(3 * body + 1 if arm else body, hidden, width)
         self.count = len(groups) + 1
 
-    def forward(self, state: Tensor, achieved: Tensor, goal: Tensor, keep: Tensor) -> Tensor:
-        """From (B, T, S), (B, T, G), (B, G) and (B,) bool, False where the goal is withheld, to (B, T, M, D)."""
+    def forward(
+        self, state: Tensor, achieved: Tensor, goal: Tensor, keep: Tensor, goal_state: Tensor | None = None
+    ) -> Tensor:
+        """(B, T, S), (B, T, G), (B, G), (B,) bool, False where the goal is withheld, and (B, S) to (B, T, M, D)."""
         tokens = [kind(state, achieved, goal, keep) for kind in self.kinds]
-        return torch.cat([*tokens, self.robot(state).unsqueeze(2)], dim=2)
+        body = state
+        if self.arm and goal_state is not None:
+            shown = keep[:, None, None].to(state.dtype)
+            left = (goal_state.unsqueeze(1) - state) * shown  # (B, T, S)
+            body = torch.cat([state, left, torch.tanh(NEAR * left), shown.expand(*state.shape[:2], 1)], dim=-1)
+        return torch.cat([*tokens, self.robot(body).unsqueeze(2)], dim=2)
 
 
 class _Kind(nn.Module):

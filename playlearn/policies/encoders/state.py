@@ -1,7 +1,6 @@
 """Tokens from numbers: the robot's state, what is achieved, and how far that is from the goal."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -14,10 +13,18 @@ from playlearn.policies.inputs import Observed, PolicySpec
 @EncoderConfig.register_subclass("state")
 @dataclass(frozen=True)
 class StateConfig(EncoderConfig):
-    """hidden: units of the two-layer networks that make a token."""
+    """hidden: units of the two-layer networks that make a token. goal_arm: a goal also says where the arm is."""
 
-    goal: ClassVar[Modality] = "state"
     hidden: int = 256
+    goal_arm: bool = False
+
+    @property
+    def goals(self) -> tuple[Modality, ...]:
+        return ("state",)
+
+    @property
+    def goal_body(self) -> bool:
+        return self.goal_arm
 
     def build(self, spec: PolicySpec, width: int, *, fetch: bool = True) -> "StateEncoder":
         return StateEncoder(self, spec, width)
@@ -30,10 +37,10 @@ class StateEncoder(Encoder):
 
     def __init__(self, config: StateConfig, spec: PolicySpec, width: int) -> None:
         super().__init__()
-        self.objects = ObjectTokens(spec, config.goal_names, config.hidden, width)
+        self.objects = ObjectTokens(spec, config.goal_names, config.hidden, width, arm=config.goal_arm)
         self.step_tokens = self.objects.count
         self.goal_flag = nn.Parameter(torch.randn(2, width) * 0.02)  # without, with a goal
 
     def forward(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
-        steps = self.objects(inputs.state, inputs.achieved, inputs.goal_achieved, keep)
+        steps = self.objects(inputs.state, inputs.achieved, inputs.goal_achieved, keep, inputs.goal_state)
         return Tokens(goal=self.goal_flag[keep.long()].unsqueeze(1), steps=steps)

@@ -7,7 +7,8 @@ from torch import Tensor, nn
 
 from playlearn.errors import UsageError
 from playlearn.policies.encoders.base import EncoderConfig
-from playlearn.policies.encoders.image import ImageConfig, channels_last
+from playlearn.policies.encoders.cameras import channels_last
+from playlearn.policies.encoders.image import ImageConfig
 
 
 @EncoderConfig.register_subclass("torchvision")
