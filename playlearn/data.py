@@ -3,7 +3,7 @@
 import dataclasses
 import queue
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -19,6 +19,8 @@ from playlearn.relabel import UNIFORMS, GoalSamplerConfig, SettledConfig, Settli
 from playlearn.store import Store
 
 Indices = NDArray[np.int64]
+type Recorded = Callable[[int | Indices, Indices], Batch]  # (epoch, examples)
+type Variation = Callable[[Recorded, int | Indices, Indices], Batch]
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +147,7 @@ class PlayDataset:
             )
         self._episode, self._t = episode[usable], t[usable]  # (n,), (n,)
         self._cumulative = self._weights() if config.balance else None
+        self.vary: Variation | None = None  # what makes other examples of some
 
     def __len__(self) -> int:
         """n, the examples of an epoch."""
@@ -169,9 +172,19 @@ class PlayDataset:
         drawn = np.searchsorted(self._cumulative, points, side="right")
         return rng.permutation(np.minimum(drawn, len(self) - 1))
 
+    def probability(self, indices: Indices) -> NDArray[np.float64]:
+        """(n,) how probably each example is drawn."""
+        if self._cumulative is None:
+            return np.full(len(indices), 1 / len(self))
+        return np.asarray(np.diff(self._cumulative, prepend=0.0)[indices], np.float64)
+
     def batch(self, epoch: int | Indices, indices: Indices) -> Batch:
-        """The given examples as they are in an epoch (one for all, or one each)."""
+        """The given examples as they are in an epoch (one for all, or one each), varied where there is what varies."""
         indices = np.asarray(indices, np.int64)
+        return self.recorded(epoch, indices) if self.vary is None else self.vary(self.recorded, epoch, indices)
+
+    def recorded(self, epoch: int | Indices, indices: Indices) -> Batch:
+        """The given examples as they were recorded."""
         episode, t, goal = self._episode[indices], self._t[indices], self.goals(epoch, indices)
         length, config = self.table.lengths[episode], self.config
         past = t[:, None] + np.arange(1 - config.history, 1)  # (B, T)
