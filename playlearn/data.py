@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from playlearn.episode import IMAGES, Array
 from playlearn.errors import StoreError, UsageError
-from playlearn.relabel import UNIFORMS, GoalSamplerConfig, SettledConfig, SettlingConfig, Table, matching
+from playlearn.relabel import UNIFORMS, GoalSamplerConfig, SettledConfig, SettlingConfig, Table
 from playlearn.store import Store
 
 Indices = NDArray[np.int64]
@@ -129,9 +129,9 @@ class PlayDataset:
         if len(self.episodes) == 0:
             raise StoreError(f"{store.name()} has no {split} episodes among its {len(store)}: collect more play")
         self.store, self.config, self.seed = store, config, seed
-        achieved = [store.array(int(i), "achieved") for i in self.episodes]
-        self.table = self._table(np.flatnonzero(~out))
-        self.achieved = np.concatenate(achieved)  # (sum T+1, G)
+        learned = np.flatnonzero(~out).tolist()  # by either split, so that both mean the same by a settled moment
+        self.table = Table.of_store(store, config.settling, config.goal_names, self.episodes.tolist(), learned)
+        self.achieved = np.concatenate([store.array(int(i), "achieved") for i in self.episodes])  # (sum T+1, G)
         self.state = np.concatenate([store.array(int(i), "observation.state") for i in self.episodes])
         self.action = np.concatenate([store.array(int(i), "expert_action") for i in self.episodes])  # (sum T, A)
         self._last = self._last_of_chunk([store.array(int(i), "action") for i in self.episodes])
@@ -258,18 +258,6 @@ class PlayDataset:
             orders[epoch] = self.epoch_indices(epoch)
         indices = np.concatenate([orders[e][places[epochs == e] % len(self)] for e in np.unique(epochs).tolist()])
         return self.batch(epochs, indices)
-
-    def _table(self, trained: Indices) -> Table:
-        """The settled moments; thresholds that are left to the data are those of the play that is trained on."""
-        store = self.store
-        spoken = matching(store.spec.achieved_names, self.config.goal_names)
-        names = [store.spec.achieved_names[k] for k in spoken]
-
-        def rows(episodes: Indices) -> Iterator[Array]:
-            return (store.array(int(i), "achieved")[:, spoken] for i in episodes)
-
-        settling = self.config.settling.measured(rows(trained), names, store.spec.fps)
-        return Table.build(list(rows(self.episodes)), names, store.spec.fps, settling)
 
     def _frames(self, camera: str, episode: Indices, rows: Indices) -> torch.Tensor:
         """(B, k, h, w, 3) uint8 of observations rows (B, k)."""

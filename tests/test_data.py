@@ -11,7 +11,7 @@ import torch
 
 from playlearn.data import Batch, DataConfig, PlayDataset, counter_uniforms, heldout_episodes, statistics
 from playlearn.errors import StoreError, UsageError
-from playlearn.relabel import FinalConfig, FixedConfig, GoalSamplerConfig, SettlingConfig, UniformConfig
+from playlearn.relabel import FinalConfig, FixedConfig, GoalSamplerConfig, SettlingConfig, Table, UniformConfig
 from playlearn.store import NativeStore, StoreSpec
 from tests.synthetic import make_episode, make_store
 
@@ -220,6 +220,39 @@ def test_both_splits_have_the_thresholds_of_what_is_trained_on(tmp_path: Path) -
     assert splits["heldout"].episodes.tolist() == [0]
     assert len(splits["train"].table.moments) == 1
     assert len(splits["heldout"].table.moments) == 0  # 0.012 is less than a seventh of 0.1
+
+
+def test_a_recording_without_achieved_has_goals_from_the_robot(tmp_path: Path) -> None:
+    """As a real robot's: the hand shuts at 40 and opens at 100; goals are images, and nothing is achieved (G = 0)."""
+    made = make_episode(np.random.default_rng(0), 200, ("front",))
+    state = np.zeros((201, 4), np.float32)
+    state[:, 3] = 0.08
+    state[40:100, 3] = 0.0
+    episode = dataclasses.replace(
+        made,
+        meta=dataclasses.replace(made.meta, achieved_names=()),
+        state=state,
+        achieved=np.zeros((201, 0), np.float32),
+        sim_state=np.zeros((201, 0)),
+    )
+    store = NativeStore.create(tmp_path / "real", StoreSpec.of(episode))
+    with store.writer() as writer:
+        writer.append(episode)
+    assert store.verify() == []
+    data = DataConfig(cameras=("front",), goal_cameras=("front",), heldout_share=0.0).build(store, "train", 0)
+    assert data.table.moments.tolist() == [100]
+    batch = data.batch(0, np.arange(100))
+    assert batch.achieved.shape == (100, 1, 0)
+    assert batch.goal_achieved.shape == (100, 0)
+    assert set(batch.goal_images["front"][:, 0, 0, 0].tolist()) <= set(range(100, 201))  # the observation's number
+    assert (batch.goal_state[:, 3] == np.float32(0.08)).all()
+    assert statistics(data)["achieved"].mean.shape == (0,)
+    # The same may be asked of a store that has it.
+    settling = SettlingConfig(source="robot")
+    assert Table.of_store(make_store(tmp_path / "play", np.random.default_rng(0), 1, 60), settling).names == (
+        "gripper.opened",
+        "arm.stopped",
+    )
 
 
 def test_statistics_are_those_of_the_recorded_rows(store: NativeStore) -> None:

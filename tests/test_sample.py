@@ -64,7 +64,7 @@ def test_it_is_of_the_present_scene(store: NativeStore) -> None:
 
 def test_it_has_what_play_has(store: NativeStore) -> None:
     """Changes that came to rest, of several things; plans, mistakes, slips and pauses."""
-    table = Table.of_store(store, store.spec.achieved_names, store.spec.fps, SettlingConfig())
+    table = Table.of_store(store, SettlingConfig())
     assert sum(count > 0 for count in table.change_counts().values()) >= 3
     said = {mark for i in range(len(store)) for skill in store.meta(i).skills for mark in skill.split(":")[1:]}
     assert {"planned", "mistake", "slip", "pause"} <= said

@@ -1,14 +1,16 @@
 """Held-out play: start and goal are two moments of an episode that no policy was trained on."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import yaml
 
+from playlearn.config import from_dict, to_dict
 from playlearn.data import DataConfig, heldout_episodes
 from playlearn.episode import Array
 from playlearn.errors import PlaylearnError, StoreError, UsageError
@@ -98,25 +100,22 @@ class HeldoutConfig(SuiteKind):
         low, high = self.seconds
         if not 0 < low <= high:
             raise UsageError(f"kind.seconds must be two rising positive numbers, got {low:g}, {high:g}")
-        settling = self.settling
-        key = tuple(settling.change.items()), tuple(settling.rest.items()), settling.rest_seconds
-        return _candidates(self.store or Path(), self.share or 0.0, key)
+        return _candidates(self.store or Path(), self.share or 0.0, json.dumps(to_dict(self.settling)))
 
     def _steps(self, fps: float) -> tuple[int, int]:
         return max(1, round(self.seconds[0] * fps)), max(1, round(self.seconds[1] * fps))
 
 
 @cache
-def _candidates(path: Path, share: float, settling: Any) -> tuple[Store, tuple[tuple[int, int, str], ...]]:
+def _candidates(path: Path, share: float, settling: str) -> tuple[Store, tuple[tuple[int, int, str], ...]]:
     """The store, and every settled moment of its held-out episodes: episode, moment, what had changed."""
     store = open_store(path)
-    out = np.flatnonzero(heldout_episodes(store.indices(), share))
+    heldout = heldout_episodes(store.indices(), share)
+    out, trained = np.flatnonzero(heldout), np.flatnonzero(~heldout)
     if len(out) == 0:
         raise StoreError(f"{path} has no held-out episodes among its {len(store)}: collect more play")
-    change, rest, seconds = settling
-    config = SettlingConfig(change=dict(change), rest=dict(rest), rest_seconds=seconds)
-    achieved = [store.array(int(i), "achieved") for i in out]
-    table = Table.build(achieved, store.spec.achieved_names, store.spec.fps, config)
+    config = from_dict(SettlingConfig, json.loads(settling))
+    table = Table.of_store(store, config, episodes=out.tolist(), learned=trained.tolist())
     groups = np.array(table.groups())
     moments = [
         (int(out[e]), int(table.moments[m]), " + ".join(groups[table.changed_groups()[m]]))

@@ -7,8 +7,9 @@ from playlearn.relabel.fixed import FixedConfig
 from playlearn.relabel.geometric import GeometricConfig
 from playlearn.relabel.mixture import MixtureConfig, Share
 from playlearn.relabel.random import RandomConfig
+from playlearn.relabel.robot import RobotConfig
 from playlearn.relabel.settled import SettledConfig
-from playlearn.relabel.settling import SettlingConfig, matching
+from playlearn.relabel.settling import SettlingConfig
 from playlearn.relabel.table import Table
 from playlearn.relabel.uniform import FutureConfig, UniformConfig
 
@@ -23,10 +24,10 @@ __all__ = [
     "GoalSamplerConfig",
     "MixtureConfig",
     "RandomConfig",
+    "RobotConfig",
     "SettledConfig",
     "SettlingConfig",
     "Share",
     "Table",
     "UniformConfig",
-    "matching",
 ]

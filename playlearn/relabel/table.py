@@ -1,4 +1,4 @@
-"""What relabelling knows of a store: lengths, and the settled moments read from `achieved` alone.
+"""What relabelling knows of a store: lengths, and the settled moments read from `achieved` (or the robot) alone.
 
 One episode of T actions, in which the world was changed twice:
 
@@ -18,22 +18,41 @@ Flat numbering: step t of episode e is `starts[e] + t` (0 <= t < T_e), observati
 row `rows[e] + o` (0 <= o <= T_e), and the settled moments of all episodes stand one after another.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from playlearn.episode import Array
-from playlearn.relabel.settling import SettlingConfig, ranges, thresholds
+from playlearn.episode import STORED, Array
+from playlearn.relabel.measure import ranges
+from playlearn.relabel.robot import NAMES, RobotReader
+from playlearn.relabel.settling import SettlingConfig, matching, thresholds
 
 Indices = NDArray[np.int64]
+STATE, ACHIEVED = STORED["state"], STORED["achieved"]
+
+
+Found = tuple[Sequence[int], Sequence[int], Sequence[Sequence[bool]]]  # moments (m), ends (m), changed (m, G)
+
+
+class Spec(Protocol):
+    """What a store's episodes have in common, as far as the table asks."""
+
+    @property
+    def achieved_names(self) -> tuple[str, ...]: ...
+    @property
+    def state_names(self) -> tuple[str, ...]: ...
+    @property
+    def fps(self) -> float: ...
 
 
 class Recordings(Protocol):
     """What the table reads of a store."""
 
+    @property
+    def spec(self) -> Spec: ...
     def __len__(self) -> int: ...
     def array(self, i: int, key: str) -> Array: ...
 
@@ -45,7 +64,7 @@ class Table:
     lengths (N,): T of each episode. starts (N+1,), rows (N+1,): flat numbering, see the drawing.
     offsets (N+1,): episode e has the settled moments offsets[e] ... offsets[e+1]-1.
     moments (M,), ends (M,): the observation at which each is settled, and the last it holds to.
-    changed (M, G) bool: the dimensions that differ from the configuration before it.
+    changed (M, G) bool: the dimensions that differ from the configuration before it; `names` says which they are.
     next_moment (sum T,): the first settled moment (flat) later than each step; offsets[e+1] where none is.
     """
 
@@ -70,10 +89,46 @@ class Table:
         settling = settling.measured(achieved, names, fps)
         change, rest = thresholds(settling.change, names, "change"), thresholds(settling.rest, names, "rest")
         window = settling.window(fps)
-        lengths = np.array([len(rows) - 1 for rows in achieved], np.int64)
         found = [_settled(np.asarray(rows), change, rest, window) for rows in achieved]
-        counts = np.array([len(moments) for moments, _, _ in found], np.int64)
-        offsets = _running(counts)
+        return cls._of([len(rows) - 1 for rows in achieved], found, names, fps)
+
+    @classmethod
+    def of_store(
+        cls,
+        store: Recordings,
+        settling: SettlingConfig,
+        goal_names: Sequence[str] = ("*",),
+        episodes: Sequence[int] | None = None,
+        learned: Sequence[int] | None = None,
+    ) -> Self:
+        """The table of a store's episodes, numbered by their place in `episodes` (None: all of them).
+
+        goal_names: patterns of the achieved dimensions in which to look for change and rest; of no use where the
+        moments are the robot's. learned: the episodes on which to measure what is left to the data (none: all).
+
+        Raises:
+            UsageError: a threshold is missing or not positive, a pattern matches nothing.
+        """
+        spec, every = store.spec, range(len(store))
+        episodes, learned = every if episodes is None else episodes, learned or every
+
+        def rows(chosen: Sequence[int], key: str) -> Iterator[Array]:
+            return (store.array(int(i), key) for i in chosen)
+
+        if settling.source == "robot" or not spec.achieved_names:
+            reader = RobotReader.measured(list(rows(learned, STATE)), spec.state_names, spec.fps, settling.robot)
+            states = list(rows(episodes, STATE))
+            return cls._of([len(state) - 1 for state in states], [reader(state) for state in states], NAMES, spec.fps)
+        spoken = matching(spec.achieved_names, goal_names)
+        names = [spec.achieved_names[k] for k in spoken]
+        settling = settling.measured((one[:, spoken] for one in rows(learned, ACHIEVED)), names, spec.fps)
+        return cls.build([one[:, spoken] for one in rows(episodes, ACHIEVED)], names, spec.fps, settling)
+
+    @classmethod
+    def _of(cls, steps: Sequence[int], found: Sequence[Found], names: Sequence[str], fps: float) -> Self:
+        """steps: T of each episode."""
+        lengths = np.array(steps, np.int64)
+        offsets = _running(np.array([len(moments) for moments, _, _ in found], np.int64))
         after = [
             offset + np.searchsorted(moments, np.arange(length), side="right")
             for (moments, _, _), offset, length in zip(found, offsets[:-1], lengths, strict=True)
@@ -85,16 +140,11 @@ class Table:
             starts=_running(lengths),
             rows=_running(lengths + 1),
             offsets=offsets,
-            moments=np.concatenate([np.zeros(0, np.int64), *(moments for moments, _, _ in found)]),
-            ends=np.concatenate([np.zeros(0, np.int64), *(ends for _, ends, _ in found)]),
-            changed=np.concatenate([np.zeros((0, len(names)), np.bool_), *(changed for _, _, changed in found)]),
+            moments=np.array([moment for moments, _, _ in found for moment in moments], np.int64),
+            ends=np.array([end for _, ends, _ in found for end in ends], np.int64),
+            changed=np.array([row for _, _, rows in found for row in rows], np.bool_).reshape(-1, len(names)),
             next_moment=np.concatenate([np.zeros(0, np.int64), *after]).astype(np.int64),
         )
-
-    @classmethod
-    def of_store(cls, store: Recordings, names: Sequence[str], fps: float, settling: SettlingConfig) -> Self:
-        """The table of every episode of a store."""
-        return cls.build([store.array(i, "achieved") for i in range(len(store))], names, fps, settling)
 
     def following(self, episodes: Indices, t: Indices) -> Indices:
         """(n,) the first settled moment (flat) later than t; `offsets[episodes + 1]` where none is."""
@@ -135,10 +185,12 @@ class Table:
         return self.next_moment[self.starts[episode] : self.starts[episode + 1]]
 
 
-def _settled(achieved: Array, change: Array, rest: Array, window: int) -> tuple[Indices, Indices, NDArray[np.bool_]]:
-    """The settled moments (m,), their ends (m,) and what changed (m, G) of one episode's (T+1, G)."""
+def _settled(achieved: Array, change: Array, rest: Array, window: int) -> Found:
+    """The settled moments, their ends and what changed of one episode's (T+1, G)."""
     resting = _resting(achieved, rest, window)
-    moments, ends, changed = [], [], []
+    moments: list[int] = []
+    ends: list[int] = []
+    changed: list[list[bool]] = []
     before, at = achieved[0], 0
     while True:
         differs = np.abs(achieved[at:] - before) > change  # (rest of the episode, G)
@@ -149,13 +201,9 @@ def _settled(achieved: Array, change: Array, rest: Array, window: int) -> tuple[
         leaves = (np.abs(achieved[at:] - achieved[at]) > rest).any(axis=1)
         moments.append(at)
         ends.append(at + int(leaves.argmax()) - 1 if leaves.any() else len(achieved) - 1)
-        changed.append(np.abs(achieved[at] - before) > change)
+        changed.append((np.abs(achieved[at] - before) > change).tolist())
         before = achieved[at]
-    return (
-        np.array(moments, np.int64),
-        np.array(ends, np.int64),
-        np.array(changed, np.bool_).reshape(len(changed), achieved.shape[1]),
-    )
+    return moments, ends, changed
 
 
 def _resting(achieved: Array, rest: Array, window: int) -> NDArray[np.bool_]:

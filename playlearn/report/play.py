@@ -71,7 +71,7 @@ def figures(store: Store, settling: SettlingConfig | None = None) -> dict[str, A
     if not len(store):
         raise UsageError(f"{store.name()} has no episodes yet: there is nothing to report")
     spec = store.spec
-    table = Table.of_store(store, spec.achieved_names, spec.fps, settling or SettlingConfig())
+    table = Table.of_store(store, settling or SettlingConfig())
     tried = attempts(store)
     return {
         "store": store.info(),

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from playlearn.errors import UsageError
-from playlearn.relabel import SettlingConfig, Table, matching
-from playlearn.relabel.settling import CHANGE_OF_MOVE, FINEST, REST_OF_MOVE, measure, thresholds
+from playlearn.relabel import SettlingConfig, Table
+from playlearn.relabel.measure import CHANGE_OF_MOVE, CHANGE_OF_NOISE, FINEST, REST_OF_MOVE, measure
+from playlearn.relabel.settling import matching, thresholds
 from tests.synthetic import ACHIEVED, FPS, make_episode
 
 WINDOW = SettlingConfig().window(FPS)
@@ -86,7 +87,7 @@ def test_hardly_any_play_will_do() -> None:
     """Two observations, of which one differs: the move is what there is of it. None at all: nothing to pass."""
     rows = [np.array([[0.0, 0.0], [0.7, 0.0]], np.float32)]
     change, rest = measure(rows, ("red.x", "red.y"), FPS, WINDOW)
-    np.testing.assert_allclose(change, [0.7 * 6, np.inf])  # the one window there is counts as noise
+    np.testing.assert_allclose(change, [0.7 * CHANGE_OF_NOISE, np.inf])  # the one window there is counts as noise
     assert (rest < change)[0]
     assert np.isinf(measure([], ("red.x",), FPS, WINDOW)[0]).all()
     assert measure(rows, (), FPS, WINDOW)[0].shape == (0,)

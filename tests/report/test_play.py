@@ -92,7 +92,7 @@ def test_a_grasp_is_missed_where_fingers_close_on_nothing_and_open_again(
 def test_changes_are_those_of_relabelling(tmp_path: Path) -> None:
     store = make_store(tmp_path / "play", np.random.default_rng(0), episodes=3)
     told = figures(store)
-    table = Table.of_store(store, store.spec.achieved_names, store.spec.fps, SettlingConfig())
+    table = Table.of_store(store, SettlingConfig())
     assert {name: row["count"] for name, row in told["changes"].items()} == table.change_counts()
     assert told["settled"]["moments"] == len(table.moments) > 5
     # Three episodes of 200 steps at 20 Hz are half a minute.
