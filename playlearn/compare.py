@@ -92,7 +92,9 @@ def compare(config: CompareConfig, out: Path, workers: int | None = None) -> lis
             progress.to(len(rows) + len(failed))
     if failed:
         raise PlaylearnError(f"{len(failed)} of {len(jobs)} runs failed, the rest is kept: " + "; ".join(failed))
-    latencies = _latencies({name: _folder(out, name, config.seeds[0]) / "policy" for name in config.variants})
+    timed = [Job(name, _latency, {"path": _folder(out, name, config.seeds[0]) / "policy"}) for name in config.variants]
+    with LocalExecutorConfig(workers=0 if workers == 0 else 1).build() as executor:
+        latencies = {result.key: result.value for result in executor.run(timed)}
     gathered = [_gather(name, [rows[name, seed] for seed in config.seeds], latencies[name]) for name in config.variants]
     results = {
         "config": to_dict(config),
@@ -188,12 +190,6 @@ def _gather(name: str, rows: Sequence[Row], latency: Mapping[str, float]) -> Row
         "latency_ms": dict(latency),
         "tasks": tasks,
     }
-
-
-def _latencies(policies: Mapping[str, Path]) -> dict[str, dict[str, float]]:
-    jobs = [Job(name, _latency, {"path": path}) for name, path in policies.items()]
-    with LocalExecutorConfig(workers=1).build() as executor:
-        return {result.key: result.value for result in executor.run(jobs)}
 
 
 def _latency(path: Path) -> dict[str, float]:
