@@ -60,13 +60,13 @@ class PolicyConfig:
         Raises:
             UsageError: the config asks for a camera or goal dimension that `spec` does not have.
         """
-        encoder = self.encoder
+        encoder = self.encoder.complete() if fetch else self.encoder
         for camera in (*encoder.observation_cameras, *encoder.goal_cameras):
             if camera not in spec.cameras:
                 raise UsageError(f"the policy's encoder wants camera {camera!r}, there is {sorted(spec.cameras)}")
         with torch.random.fork_rng(devices=[]):
             torch.random.manual_seed(seed)
-            return Policy(self, spec, statistics, fetch=fetch)
+            return Policy(replace(self, encoder=encoder), spec, statistics, fetch=fetch)
 
 
 class Policy(nn.Module):

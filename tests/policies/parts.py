@@ -24,6 +24,13 @@ S, G, A, H = 3, 4, 3, 4
 # Only what makes a kind quick; a kind that is not named here is tested as it comes.
 SMALL: dict[str, dict[str, Any]] = {
     "cnn": {"channels": [8, 8], "kernels": [3, 3], "strides": [2, 2], "features": 16, "hidden": 16},
+    "tokens": {"channels": [8, 8], "kernels": [3, 3], "strides": [2, 2], "tokens": 2, "hidden": 16},
+    "transformers": {
+        "name": "resnet",
+        "options": {"embedding_size": 8, "hidden_sizes": [8, 16], "depths": [1, 1], "layer_type": "basic"},
+        "features": 16,
+        "hidden": 16,
+    },
     "torchvision": {"name": "shufflenet_v2_x0_5", "features": 16, "hidden": 16},
     "diffusion": {"width": 32, "blocks": 2, "sample_steps": 3},
     "autoregressive": {"bins": 16, "width": 16, "layers": 2, "heads": 2, "soft": 0.0},

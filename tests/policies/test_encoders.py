@@ -1,15 +1,20 @@
 """Laws of the encoders: what they may read, and how goals are withheld."""
 
 import dataclasses
+import shutil
+from pathlib import Path
 
 import pytest
 import torch
+from safetensors.torch import load_file
 
 from playlearn.errors import UsageError
+from playlearn.policies import Policy
 from playlearn.policies.encoders.cameras import pixels, random_shift
 from playlearn.policies.encoders.cnn import SpatialSoftmax
 from playlearn.policies.encoders.objects import ObjectTokens
-from tests.policies.parts import ENCODERS, SPEC, examples, generator, policy
+from playlearn.policies.encoders.tokens import TokenPool
+from tests.policies.parts import ENCODERS, SPEC, Examples, examples, generator, policy
 
 ESTIMATE = {"auxiliary": {"achieved": 1.0}, "feed_estimate": True}
 
@@ -179,3 +184,107 @@ def test_the_cameras_that_are_fed_must_be_there_and_show_a_goal() -> None:
         policy("cnn", encoder_options={"feed_cameras": ["wrist"]})
     fed = policy("cnn", encoder_options={**ESTIMATE, "fusion": "late", "feed_cameras": ["wrist"]})
     assert set(fed.encoder.project) == {"wrist"}
+
+
+def test_a_goal_changes_nothing_of_what_is_looked_at_until_something_is_learned() -> None:
+    """FiLM starts as the identity: the tokens of a step are at first the same with any goal, and none after a step."""
+    made = policy("tokens")
+    batch, other = examples(), examples(seed=3)
+    elsewhere = dataclasses.replace(batch, goal_images=other.goal_images)
+    keep = torch.ones(5, dtype=torch.bool)
+
+    def steps(inputs: Examples) -> torch.Tensor:
+        return made.encoder(made._normalised(inputs), keep).steps
+
+    assert torch.equal(steps(batch), steps(elsewhere))
+    optimizer = torch.optim.SGD(made.parameters(), lr=0.1)
+    made(batch, generator())[0].backward()
+    optimizer.step()
+    assert not torch.allclose(steps(batch), steps(elsewhere))
+
+
+def test_a_token_is_what_is_under_its_map_and_where() -> None:
+    """A map that is all in one corner, row 0 and column 4 of 5 x 5, gives that corner's channels and x = 1, y = -1."""
+    pool = TokenPool(2, 1)
+    with torch.no_grad():
+        pool.attend.weight.copy_(torch.tensor([1.0, 0.0]).view(1, 2, 1, 1))
+        maps = torch.zeros(1, 2, 5, 5)
+        maps[0, :, 0, 4] = torch.tensor([50.0, -3.0])
+        torch.testing.assert_close(pool(maps), torch.tensor([[[50.0, -3.0, 1.0, -1.0]]]), atol=1e-4, rtol=0)
+
+
+def test_layers_of_an_image_tokens_encoder_must_match() -> None:
+    with pytest.raises(UsageError, match=r"one each a layer \(2, 3, 2\)"):
+        policy("tokens", encoder_options={"kernels": [3, 3, 3]})
+
+
+TINY = {"hidden_size": 16, "num_hidden_layers": 1, "num_attention_heads": 2, "intermediate_size": 16, "patch_size": 8}
+BACKBONES = {
+    "vit": TINY,
+    "dinov2": {key: value for key, value in TINY.items() if key != "intermediate_size"},
+    "convnextv2": {"hidden_sizes": [8, 16], "depths": [1, 1], "num_stages": 2},
+}
+
+
+@pytest.mark.parametrize("name", BACKBONES)
+def test_a_vision_model_is_built_by_its_name(name: str) -> None:
+    """All that is to be trained gets a gradient; what features never depend on (a masked patch's token) is not."""
+    made = policy("transformers", encoder_options={"name": name, "options": BACKBONES[name]}, goal_dropout=0.5)
+    made(examples(8), generator())[0].backward()
+    assert [n for n, p in made.named_parameters() if p.requires_grad and p.grad is None] == []
+
+
+def small_vit(path: Path) -> None:
+    """A folder as the hub keeps them: a ViT of three channels for 16 x 16 images."""
+    from transformers import ViTConfig, ViTModel
+
+    torch.manual_seed(5)
+    ViTModel(ViTConfig(image_size=16, **TINY)).save_pretrained(path)
+
+
+@pytest.mark.parametrize("fusion", ["early", "late"])
+def test_weights_are_used_kept_frozen_and_never_asked_for_again(fusion: str, tmp_path: Path) -> None:
+    small_vit(tmp_path / "hub")
+    options = {"weights": str(tmp_path / "hub"), "frozen": True, "fusion": fusion, "options": {}}
+    made = policy("transformers", encoder_options=options)
+    held = load_file(tmp_path / "hub" / "model.safetensors")["embeddings.patch_embeddings.projection.weight"]
+    state = made.state_dict()
+    name = next(key for key in state if key.startswith("encoder.front") and key.endswith("projection.weight"))
+    # fused early, two images share the weights: of the same image twice they see what one image showed
+    images = 2 if fusion == "early" else 1
+    torch.testing.assert_close(state[name], held.repeat(1, images, 1, 1) / images)
+    before = {key: value.clone() for key, value in state.items() if ".model." in key}
+    optimizer = torch.optim.SGD((p for p in made.parameters() if p.requires_grad), lr=0.1)
+    made.train()(examples(), generator())[0].backward()
+    optimizer.step()
+    assert all(torch.equal(made.state_dict()[key], value) for key, value in before.items())
+    made.save(tmp_path / "policy")
+    shutil.rmtree(tmp_path / "hub")
+    loaded = Policy.load(tmp_path / "policy")
+    assert torch.equal(loaded.act(examples(), generator()), made.eval().act(examples(), generator()))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"name": "resnt", "options": {}}, "encoder.name 'resnt'"),
+        ({"name": "bert", "options": {}, "fusion": "late"}, "'bert' does not see a 16x16 image"),
+        ({"name": "vit", "options": {"depth": 3}}, "the config of vit has no field 'depth'"),
+        ({"frozen": True}, "frozen needs encoder.weights"),
+        ({"weights": "nowhere/at-all"}, "'nowhere/at-all' cannot be had.*set encoder.weights to null"),
+    ],
+)
+def test_a_vision_model_that_cannot_be_says_why(
+    options: dict[str, object], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unreachable(*_: object, **__: object) -> None:
+        raise OSError("no route to host")
+
+    monkeypatch.setattr("transformers.AutoConfig.from_pretrained", unreachable)
+    with pytest.raises(UsageError, match=message):
+        policy("transformers", encoder_options=options)
+
+
+def test_a_frozen_torchvision_body_needs_weights() -> None:
+    with pytest.raises(UsageError, match="frozen needs"):
+        policy("torchvision", encoder_options={"frozen": True})

@@ -4,7 +4,9 @@ from playlearn.policies.encoders.base import Encoder, EncoderConfig, Modality, T
 from playlearn.policies.encoders.cnn import CNNConfig
 from playlearn.policies.encoders.image import AuxiliaryConfig, ImageConfig
 from playlearn.policies.encoders.state import StateConfig
+from playlearn.policies.encoders.tokens import TokensConfig
 from playlearn.policies.encoders.torchvision import TorchvisionConfig
+from playlearn.policies.encoders.transformers import TransformersConfig
 
 __all__ = [
     "AuxiliaryConfig",
@@ -15,5 +17,7 @@ __all__ = [
     "Modality",
     "StateConfig",
     "Tokens",
+    "TokensConfig",
     "TorchvisionConfig",
+    "TransformersConfig",
 ]

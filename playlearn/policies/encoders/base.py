@@ -41,6 +41,10 @@ class EncoderConfig(draccus.ChoiceRegistry):
         """Whether a goal must bring the robot's own state."""
         return False
 
+    def complete(self) -> "EncoderConfig":
+        """The same with all that building takes, so that what is saved can be built without asking the network."""
+        return self
+
     def build(self, spec: PolicySpec, width: int, *, fetch: bool = True) -> "Encoder":
         """width: D of a token. fetch: whether weights may be downloaded, if the config asks for any."""
         raise NotImplementedError

@@ -10,6 +10,7 @@ from playlearn.errors import UsageError
 from playlearn.policies.encoders.base import Encoder, Tokens
 from playlearn.policies.encoders.cameras import CamerasConfig, pixels, random_shift
 from playlearn.policies.encoders.objects import ObjectTokens, mlp
+from playlearn.policies.encoders.stated import StatedGoal
 from playlearn.policies.inputs import Observed, PolicySpec
 
 
@@ -158,19 +159,6 @@ class ImageEncoder(Encoder):
             return seen, seen[:, -1]
         seen = self.front(pixels(torch.cat([shown, wanted], dim=1).flatten(0, 1))).unflatten(0, (batch, steps + 1))
         return seen[:, :-1], seen[:, -1]
-
-
-class StatedGoal(nn.Module):
-    """(B, G) normalised achieved of a goal -> (B, D), of the parts alone that goals speak of."""
-
-    def __init__(self, spec: PolicySpec, goal_names: tuple[str, ...], hidden: int, width: int) -> None:
-        super().__init__()
-        self.register_buffer("spoken", torch.tensor(spec.select(goal_names)), persistent=False)
-        self.net = mlp(len(self.get_buffer("spoken")), hidden, width)
-
-    def forward(self, goal: Tensor) -> Tensor:
-        out: Tensor = self.net(goal[:, self.get_buffer("spoken")])
-        return out
 
 
 class _Estimate(nn.Module):

@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from playlearn.errors import UsageError
 from playlearn.policies.encoders.base import EncoderConfig
+from playlearn.policies.encoders.bodies import IMAGENET, Frozen, Scale, replace_batch_norm, widened
 from playlearn.policies.encoders.cameras import channels_last
 from playlearn.policies.encoders.image import ImageConfig
 
@@ -17,37 +18,26 @@ class TorchvisionConfig(ImageConfig):
     """name: as in `torchvision.models.list_models()`. weights: null for none, else a name such as DEFAULT, downloaded.
 
     From scratch, batch norm becomes group norm; pretrained, its statistics are frozen. Either way an
-    example's features do not depend on its neighbours in the batch.
+    example's features do not depend on its neighbours in the batch. frozen: the body stays as it was downloaded.
     """
 
     name: str = "resnet18"
     weights: str | None = None
+    frozen: bool = False
 
     def backbone(self, channels: int, size: tuple[int, int], *, fetch: bool) -> nn.Module:
+        if self.frozen and self.weights is None:
+            raise UsageError("encoder.frozen needs encoder.weights: nothing is seen through frozen random numbers")
         body = _body(self.name, self.weights if fetch else None)
-        _replace_batch_norm(body, frozen=self.weights is not None)
+        replace_batch_norm(body, pretrained=self.weights is not None)
         if channels != 3:
             _widen_first_convolution(body, channels)
         channels_last(body)
         with torch.no_grad():
             inputs = body.eval()(torch.zeros(1, channels, *size)).flatten(1).shape[1]
-        return nn.Sequential(
-            _ImageNetScale(channels), body.train(), nn.Flatten(), nn.Linear(inputs, self.features), nn.ReLU()
-        )
-
-
-class _ImageNetScale(nn.Module):
-    """[-1, 1] to the mean and spread that torchvision's weights were trained with."""
-
-    def __init__(self, channels: int) -> None:
-        super().__init__()
-        mean, std = torch.tensor([0.485, 0.456, 0.406]), torch.tensor([0.229, 0.224, 0.225])
-        repeat = channels // 3
-        self.register_buffer("mean", (2 * mean - 1).repeat(repeat)[:, None, None], persistent=False)
-        self.register_buffer("std", (2 * std).repeat(repeat)[:, None, None], persistent=False)
-
-    def forward(self, images: Tensor) -> Tensor:
-        return (images - self.get_buffer("mean")) / self.get_buffer("std")
+        seen = Frozen(body) if self.frozen else body.train()
+        scale = Scale(channels, *IMAGENET)
+        return nn.Sequential(scale, seen, nn.Flatten(), nn.Linear(inputs, self.features), nn.ReLU())
 
 
 def _body(name: str, weights: str | None) -> nn.Module:
@@ -72,23 +62,6 @@ def _body(name: str, weights: str | None) -> nn.Module:
     raise UsageError(f"encoder.name {name!r}: its classifier cannot be taken off; try resnet18 or mobilenet_v3_small")
 
 
-def _replace_batch_norm(module: nn.Module, *, frozen: bool) -> None:
-    from torchvision.ops import FrozenBatchNorm2d
-
-    for name, child in module.named_children():
-        if not isinstance(child, nn.BatchNorm2d):
-            _replace_batch_norm(child, frozen=frozen)
-            continue
-        features = child.num_features
-        if frozen:
-            norm: nn.Module = FrozenBatchNorm2d(features, eps=child.eps)
-            norm.load_state_dict(child.state_dict(), strict=False)
-        else:
-            groups = next(n for n in (16, 8, 4, 2, 1) if features % n == 0)
-            norm = nn.GroupNorm(groups, features)
-        setattr(module, name, norm)
-
-
 def _widen_first_convolution(body: nn.Module, channels: int) -> None:
     """Let the first layer read more images at once, its weights shared out among them."""
     for parent in body.modules():
@@ -102,8 +75,7 @@ def _widen_first_convolution(body: nn.Module, channels: int) -> None:
                     child.padding,  # type: ignore[arg-type]
                     bias=child.bias is not None,
                 )
-                repeat = channels // child.in_channels
-                wide.weight.data = child.weight.data.repeat(1, repeat, 1, 1) / repeat
+                wide.weight.data = widened(child.weight.data, channels)
                 if child.bias is not None and wide.bias is not None:
                     wide.bias.data = child.bias.data
                 setattr(parent, name, wide)
