@@ -12,7 +12,7 @@ class GaussianConfig(HeadConfig):
     """hidden, spread, temperature: as of the mixture, of which this is the case of one component."""
 
     hidden: int = 256
-    spread: tuple[float, float] = (0.02, 2.0)
+    spread: tuple[float, float] = (0.1, 2.0)
     temperature: float = 1.0
 
     def build(self, width: int, chunk: int, actions: int) -> MixtureHead:
