@@ -1,4 +1,7 @@
-"""Play and evaluations in rerun: opened in its viewer, or written to an .rrd where there is no display."""
+"""Play and evaluations in rerun: opened in its viewer, or written to an .rrd where there is no display.
+
+An episode may be had as a picture, too (see `timeline.py`): by a file name that ends in .png.
+"""
 
 import base64
 import io
@@ -20,6 +23,7 @@ from PIL import Image
 from playlearn.episode import Array, Episode
 from playlearn.errors import PlaylearnError, UsageError
 from playlearn.relabel import SettlingConfig, Table
+from playlearn.report.timeline import timeline
 from playlearn.store import open_store
 
 STILLS = ("start", "goal", "final")
@@ -29,15 +33,21 @@ def view_episode(path: Path, episode: int = 0, *, save: Path | None = None) -> P
     """Show one episode of a store: cameras, goals, state, achieved, actions, skills, settled moments.
 
     The goal beside each camera is what relabelling would give as the next: the world as it next settles.
-    Returns the .rrd where one was written (`save`, or no display), else None.
+    Returns the .rrd where one was written (`save`, or no display), else None. A `save` that ends in .png is
+    the episode's timeline as a picture.
 
     Raises:
         StoreError: there is no such store or episode.
         PlaylearnError: the viewer does not start.
     """
-    play = open_store(path).read(episode)
+    store = open_store(path)
+    play = store.read(episode)
+    if save is not None and save.suffix == ".png":
+        print(f"wrote {timeline(store, episode, save)}")
+        return save
+    table = Table.of_store(store, SettlingConfig(), episodes=[episode])
     name = f"{Path(path).resolve().name}-episode-{episode}"
-    return _show(name, _episode_layout(play), lambda recording: _log_episode(recording, play), save)
+    return _show(name, _episode_layout(play), lambda recording: _log_episode(recording, play, table), save)
 
 
 def view_results(folder: Path, *, save: Path | None = None) -> Path | None:
@@ -120,7 +130,7 @@ def _episode_layout(play: Episode) -> rrb.Container:
     )
 
 
-def _log_episode(recording: rr.RecordingStream, play: Episode) -> None:
+def _log_episode(recording: rr.RecordingStream, play: Episode, table: Table) -> None:
     meta, steps = play.meta, len(play)
     seconds = play.time - play.time[0]
 
@@ -142,7 +152,6 @@ def _log_episode(recording: rr.RecordingStream, play: Episode) -> None:
     if play.intervention.any():
         curves("action/intervention", play.intervention[:, None].astype(np.float32), ["intervention"])
 
-    table = Table.build([play.achieved], meta.achieved_names, meta.fps, SettlingConfig())
     moments, _ = table.settled(0)
     changed = [", ".join(np.array(table.groups())[row]) for row in table.changed_groups()]
     begins = np.flatnonzero(np.diff(play.skill, prepend=-1))
