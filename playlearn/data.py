@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from playlearn.episode import IMAGES, Array
 from playlearn.errors import StoreError, UsageError
-from playlearn.relabel import UNIFORMS, GoalSamplerConfig, SettledConfig, SettlingConfig, Table
+from playlearn.relabel import UNIFORMS, GoalSamplerConfig, SettledConfig, SettlingConfig, Table, leads_to_failure
 from playlearn.store import Store
 
 Indices = NDArray[np.int64]
@@ -87,6 +87,8 @@ class DataConfig:
     heldout_share: of the episodes, never trained on. mask_after_goal: actions past the goal teach nothing.
     balance: 0 draws steps as they come; 1 draws each kind of change (which groups of the achieved goal
         change next) equally often; between them, in proportion to count ** (1 - balance).
+    failures: the share that is kept of the examples whose attempt (see `relabel.failures`) is yet to fail: even a
+        failure shows how to get to somewhere. Always the same ones, however much play there is.
     stray: a chunk ends with the first step at which what was executed strayed from its label by more
         than this in some dimension (a mistake, a pause, a slip): the labels after it answer to another
         world than the one that executing the labels would have led to.
@@ -102,6 +104,7 @@ class DataConfig:
     heldout_share: float = 0.05
     mask_after_goal: bool = False
     balance: float = 0.0
+    failures: float = 1.0
     stray: float = 0.5
 
     def build(self, store: Store, split: str, seed: int) -> "PlayDataset":
@@ -139,7 +142,7 @@ class PlayDataset:
         lengths = self.table.lengths
         episode = np.repeat(np.arange(len(lengths)), lengths)
         t = np.arange(len(episode)) - self.table.starts[episode]
-        usable = self._sampler.valid(self.table, episode, t)
+        usable = self._sampler.valid(self.table, episode, t) & self._kept(t)
         if not usable.any():
             raise StoreError(
                 f"{store.name()}: no {split} step has a goal to draw ({len(lengths)} episodes, {len(t)} steps); "
@@ -278,6 +281,16 @@ class PlayDataset:
         start = np.repeat(self.table.starts[:-1], self.table.lengths)
         return np.asarray(first - start, np.int64)  # may point past the episode, whose end counts then
 
+    def _kept(self, t: Indices) -> NDArray[np.bool_]:
+        """(sum T,) all steps but the failing ones that `failures` leaves out."""
+        if self.config.failures >= 1:
+            return np.ones(len(t), np.bool_)
+        episodes = self.episodes.tolist()
+        failing = [leads_to_failure(self.store.array(i, "skill"), self.store.meta(i).skills) for i in episodes]
+        recorded = np.repeat(self.store.indices()[self.episodes], self.table.lengths)
+        lucky = counter_uniforms(0, recorded, t, 1)[:, 0] < self.config.failures
+        return np.asarray(lucky | ~np.concatenate(failing))
+
     def _weights(self) -> NDArray[np.float64]:
         """(n,) the running sum of the examples' probabilities under `balance`."""
         groups = np.concatenate([self.table.changed_groups(), np.zeros((1, len(self.table.groups())), np.bool_)])
@@ -343,7 +356,8 @@ def _check(config: DataConfig, split: str) -> None:
             raise UsageError(f"data.{name} must be at least 1, got {value}")
     if not config.stray > 0:
         raise UsageError(f"data.stray must be above 0, got {config.stray}")
-    for name, share in {"heldout_share": config.heldout_share, "balance": config.balance}.items():
+    for name in ("heldout_share", "balance", "failures"):
+        share = getattr(config, name)
         if not 0 <= share <= 1:
             raise UsageError(f"data.{name} must lie between 0 and 1, got {share}")
 

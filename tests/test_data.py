@@ -255,6 +255,37 @@ def test_a_recording_without_achieved_has_goals_from_the_robot(tmp_path: Path) -
     )
 
 
+def test_a_share_of_the_failing_windows_is_kept(tmp_path: Path) -> None:
+    """In each of 10 episodes: pushes with a slip at 40 ... 43, then opens with nothing amiss: 44 of 200 steps fail."""
+    rng = np.random.default_rng(0)
+    numbers = np.zeros(200, np.int16)
+    numbers[40:44], numbers[100:] = 1, 2
+    store = None
+    for _ in range(10):
+        made = make_episode(rng, 200)
+        meta = dataclasses.replace(made.meta, skills=("push", "push:slip", "open"))
+        episode = dataclasses.replace(made, meta=meta, skill=numbers.copy())
+        store = store or NativeStore.create(tmp_path / "play", StoreSpec.of(episode))
+        with store.writer() as writer:
+            writer.append(episode)
+    kept = {}
+    for share in (1.0, 0.5, 0.0):
+        config = DataConfig(goals=FinalConfig(), heldout_share=0.0, failures=share)
+        data = config.build(store, "train", int(10 * share))  # whatever the seed
+        episodes, t = data.where(np.arange(len(data)))
+        assert (t >= 44).sum() == 10 * 156  # the recovery and what comes later are all there
+        kept[share] = set(zip(episodes.tolist(), t.tolist(), strict=True))
+        assert len(data) == len(kept[share])
+    assert len(kept[1.0]) == 2000
+    assert len(kept[0.0]) == 1560
+    # Of 440 half: standard deviation 10.5. Those kept stay so at a larger share, and beside other episodes.
+    assert abs(len(kept[0.5]) - 1560 - 220) < 5 * 10.5
+    assert kept[0.0] < kept[0.5] < kept[1.0]
+    parted = DataConfig(goals=FinalConfig(), heldout_share=0.5, failures=0.5).build(store, "train", 0)
+    some = set(zip(*(part.tolist() for part in parted.where(np.arange(len(parted)))), strict=True))
+    assert some == {(e, t) for e, t in kept[0.5] if e in parted.episodes}
+
+
 def test_statistics_are_those_of_the_recorded_rows(store: NativeStore) -> None:
     data = DataConfig(heldout_share=0.25).build(store, "train", 0)
     found = statistics(data)
@@ -300,6 +331,7 @@ def test_counter_uniforms_are_even_and_independent() -> None:
         ({"chunk": 0}, r"data\.chunk"),
         ({"heldout_share": 1.5}, r"data\.heldout_share"),
         ({"balance": -0.5}, r"data\.balance"),
+        ({"failures": 2.0}, r"data\.failures"),
         ({"goals": UniformConfig(horizon=0.0)}, r"uniform\.horizon"),
     ],
 )

@@ -2,6 +2,7 @@
 
 from playlearn.relabel.base import UNIFORMS, GoalSampler, GoalSamplerConfig
 from playlearn.relabel.episode import EpisodeConfig
+from playlearn.relabel.failures import leads_to_failure
 from playlearn.relabel.final import FinalConfig
 from playlearn.relabel.fixed import FixedConfig
 from playlearn.relabel.geometric import GeometricConfig
@@ -30,4 +31,5 @@ __all__ = [
     "Share",
     "Table",
     "UniformConfig",
+    "leads_to_failure",
 ]
