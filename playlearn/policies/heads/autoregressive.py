@@ -6,14 +6,16 @@ step      H           the A numbers of a step       H, with a key-value cache
 parallel  H           everything at once            1
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import Literal
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from playlearn.policies.heads.base import Generators, Guidance, Head, HeadConfig, draw_noise
+from playlearn.policies.heads.decoder import Decoder
 
 LIMIT = 5.0  # standard deviations that the bins span before `fit` has seen any data
 
@@ -53,8 +55,7 @@ class AutoregressiveHead(Head):
         self.enter = nn.Linear(width, config.width)
         self.words = nn.Embedding(actions * config.bins, config.width)
         self.places = nn.Parameter(torch.randn(positions, config.width) * 0.1)
-        self.layers = nn.ModuleList(_Layer(config.width, config.heads) for _ in range(config.layers))
-        self.norm = nn.LayerNorm(config.width)
+        self.decoder = Decoder(config.width, config.layers, config.heads)
         self.leave = nn.Parameter(torch.randn(actions, config.bins, config.width) * config.width**-0.5)
 
     def fit(self, chunks: Tensor) -> None:
@@ -111,13 +112,14 @@ class AutoregressiveHead(Head):
 
     def sample(self, features: Tensor, generator: Generators, guidance: Guidance | None = None) -> Tensor:
         normal = draw_noise((len(features), *self.shape), generator, features.device)
-        luck = torch.special.ndtr(normal)  # uniform in (0, 1): where in the cumulated shares the draw falls
+        luck = torch.special.ndtr(normal).flatten(1)  # uniform in (0, 1): where in the cumulated shares the draw falls
 
         def choose(logits: Tensor, first: int) -> Tensor:
             share = _top((logits / self.config.temperature).softmax(-1), self.config.top_p)
-            drawn = luck.flatten(1)[:, first : first + logits.shape[1], None]
-            passed: Tensor = share.cumsum(-1) < drawn * share.sum(-1, keepdim=True)
-            return passed.sum(-1).clamp(max=self.config.bins - 1)
+            drawn = luck[:, first : first + logits.shape[1], None]
+            below = share.cumsum(-1)
+            # a draw beyond what rounding left of the sum falls into the last bin
+            return torch.searchsorted(below, drawn * below[..., -1:]).squeeze(-1).clamp_(max=self.config.bins - 1)
 
         return self._decode(features, guidance, choose)
 
@@ -132,20 +134,22 @@ class AutoregressiveHead(Head):
         if self.config.order == "parallel":
             logits = self._out(self._pass(given.unsqueeze(1) + self.places))
             return self.numbers(choose(_guided(logits, guidance).flatten(1, 2), 0).view(count, steps, actions))
-        layers = cast(Sequence[_Layer], self.layers)
-        caches = [_Cache(len(given), len(self.places), layer) for layer in layers]
+        weights = self.leave.view(-1, self.unit * self.config.bins, self.config.width).unbind()  # by the turn
+        words = self.words.weight.view(-1, self.unit, self.config.bins, self.config.width)
+        told = [[table.contiguous() for table in turn] for turn in words]
+        turns = self.decoder.steps(len(given), len(self.places))
         chosen: list[Tensor] = []
-        before = torch.zeros_like(given)
-        for place in range(len(self.places)):
-            hidden = (given + self.places[place] + before).unsqueeze(1)  # (B, 1, W)
-            for layer, cache in zip(layers, caches, strict=True):
-                hidden = layer.next(hidden, cache)
-            weights = self.leave[self._spoken(place)]  # (unit, K, W)
-            logits = torch.einsum("bw,akw->bak", self.norm(hidden[:, 0]), weights)
-            tokens = choose(_guided(logits, guidance), place * self.unit)  # (B, unit)
+        hidden = given
+        for place, here in enumerate(self.places.unbind()):
+            turn = place % len(weights)
+            logits = functional.linear(turns.next(hidden + here), weights[turn])
+            logits = _guided(logits.view(len(given), self.unit, -1), guidance)
+            tokens = choose(logits, place * self.unit)  # (B, unit)
             chosen.append(tokens)
-            before = self.words(tokens + self._offsets(place)).sum(1)
-            before = before if guidance is None else before.repeat(2, 1)
+            hidden = given
+            for table, word in zip(told[turn], tokens.unbind(1), strict=True):
+                before = functional.embedding(word, table)
+                hidden = hidden + (before if guidance is None else before.repeat(2, 1))
         return self.numbers(torch.cat(chosen, dim=1).view(count, steps, actions))
 
     def _logits(self, features: Tensor, tokens: Tensor) -> Tensor:
@@ -155,28 +159,18 @@ class AutoregressiveHead(Head):
             actions = torch.arange(self.shape[1], device=tokens.device) * self.config.bins
             told = self.words(tokens + actions)  # (B, H, A, W)
             told = told.flatten(1, 2) if self.unit == 1 else told.sum(2)
-            hidden = hidden + nn.functional.pad(told[:, :-1], (0, 0, 1, 0))
+            hidden = hidden + functional.pad(told[:, :-1], (0, 0, 1, 0))
         return self._out(self._pass(hidden))
 
     def _pass(self, hidden: Tensor) -> Tensor:
-        for layer in self.layers:
-            hidden = layer(hidden, causal=self.config.order != "parallel")
-        normed: Tensor = self.norm(hidden)
-        return normed
+        out: Tensor = self.decoder(hidden, causal=self.config.order != "parallel")
+        return out
 
     def _out(self, hidden: Tensor) -> Tensor:
         """(B, positions, W) -> (B, H, A, K)."""
         if self.unit == 1:
             return torch.einsum("bhaw,akw->bhak", hidden.unflatten(1, self.shape), self.leave)
         return torch.einsum("bhw,akw->bhak", hidden, self.leave)
-
-    def _spoken(self, place: int) -> slice:
-        """The actions that a position speaks of."""
-        first = place * self.unit % self.shape[1]
-        return slice(first, first + self.unit)
-
-    def _offsets(self, place: int) -> Tensor:
-        return torch.arange(self.shape[1], device=self.places.device)[self._spoken(place)] * self.config.bins
 
     def _target(self, tokens: Tensor) -> Tensor:
         """(B, H, A, K) the share of each bin in what is to be predicted."""
@@ -185,54 +179,6 @@ class AutoregressiveHead(Head):
         if self.config.soft == 0:
             return (off == 0).float()
         return (-0.5 * (off / self.config.soft).square()).softmax(-1)
-
-
-class _Cache:
-    """Keys and values of the positions that a layer has seen, each (B, heads, positions, d)."""
-
-    def __init__(self, batch: int, positions: int, layer: "_Layer") -> None:
-        like = layer.mix.weight
-        shape = (batch, layer.heads, positions, like.shape[0] // layer.heads)
-        self.keys, self.values = like.new_empty(shape), like.new_empty(shape)
-        self.filled = 0
-
-
-class _Layer(nn.Module):
-    """Attention, then a feed-forward network, each on normed input and added to it."""
-
-    def __init__(self, width: int, heads: int) -> None:
-        super().__init__()
-        self.heads = heads
-        self.before, self.between = nn.LayerNorm(width), nn.LayerNorm(width)
-        self.project = nn.Linear(width, 3 * width)
-        self.mix = nn.Linear(width, width)
-        self.feed = nn.Sequential(nn.Linear(width, 4 * width), nn.GELU(), nn.Linear(4 * width, width))
-
-    def forward(self, hidden: Tensor, *, causal: bool) -> Tensor:
-        query, key, value = self._split(hidden)
-        seen = nn.functional.scaled_dot_product_attention(query, key, value, is_causal=causal)
-        return self._add(hidden, seen)
-
-    def next(self, hidden: Tensor, cache: _Cache) -> Tensor:
-        """(B, 1, W): one more position, beside those in the cache."""
-        query, key, value = self._split(hidden)
-        here = cache.filled
-        cache.keys[:, :, here : here + 1], cache.values[:, :, here : here + 1] = key, value
-        cache.filled = here + 1
-        seen = nn.functional.scaled_dot_product_attention(
-            query, cache.keys[:, :, : here + 1], cache.values[:, :, : here + 1]
-        )
-        return self._add(hidden, seen)
-
-    def _split(self, hidden: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        parts = self.project(self.before(hidden)).unflatten(-1, (3, self.heads, -1)).transpose(1, 3)  # (B, h, 3, L, d)
-        query, key, value = parts.unbind(2)
-        return query, key, value
-
-    def _add(self, hidden: Tensor, seen: Tensor) -> Tensor:
-        hidden = hidden + self.mix(seen.transpose(1, 2).flatten(2))
-        out: Tensor = hidden + self.feed(self.between(hidden))
-        return out
 
 
 def _guided(logits: Tensor, guidance: Guidance | None) -> Tensor:

@@ -1,0 +1,103 @@
+"""A small causal decoder: all positions at once for training, or one after the other with a key-value cache."""
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+
+class Decoder(nn.Module):
+    """Layers of attention and feed-forward networks, each on normed input and added to it, and a norm at the end."""
+
+    def __init__(self, width: int, layers: int, heads: int) -> None:
+        super().__init__()
+        self.blocks = nn.ModuleList(_Layer(width, heads) for _ in range(layers))
+        self.norm = nn.LayerNorm(width)
+
+    def forward(self, hidden: Tensor, *, causal: bool = True) -> Tensor:
+        """(B, L, W) -> (B, L, W)."""
+        for layer in self.blocks:
+            hidden = layer(hidden, causal=causal)
+        out: Tensor = self.norm(hidden)
+        return out
+
+    def steps(self, batch: int, positions: int) -> "Steps":
+        """What decodes up to `positions` one at a time."""
+        return Steps(self, batch, positions)
+
+
+class Steps:
+    """A decoder that is given its positions one after the other, and keeps what it has seen.
+
+    A policy that makes a hundred of them for each plan spends its time on the way to the arithmetic, not on it: so
+    every weight is looked up once, and every step is plain function calls.
+    """
+
+    def __init__(self, decoder: Decoder, batch: int, positions: int) -> None:
+        self._layers = [_Step(layer, batch, positions) for layer in decoder.blocks]  # type: ignore[arg-type]
+        self._norm = _norm(decoder.norm)
+        self._seen = 0
+
+    def next(self, hidden: Tensor) -> Tensor:
+        """(B, W) -> (B, W): one more position, beside those before it."""
+        for layer in self._layers:
+            hidden = layer.next(hidden, self._seen)
+        self._seen += 1
+        return functional.layer_norm(hidden, *self._norm)
+
+
+class _Layer(nn.Module):
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.before, self.between = nn.LayerNorm(width), nn.LayerNorm(width)
+        self.project = nn.Linear(width, 3 * width)
+        self.mix = nn.Linear(width, width)
+        self.rise, self.fall = nn.Linear(width, 4 * width), nn.Linear(4 * width, width)
+
+    def forward(self, hidden: Tensor, *, causal: bool) -> Tensor:
+        parts = self.project(self.before(hidden)).unflatten(-1, (3, self.heads, -1)).transpose(1, 3)  # (B, h, 3, L, d)
+        query, key, value = parts.unbind(2)
+        seen = functional.scaled_dot_product_attention(query, key, value, is_causal=causal)
+        hidden = hidden + self.mix(seen.transpose(1, 2).flatten(2))
+        out: Tensor = hidden + self.fall(functional.gelu(self.rise(self.between(hidden))))
+        return out
+
+
+class _Step:
+    """A layer at one position; past (2, B h, positions, d), keys and values, filled as it goes."""
+
+    def __init__(self, layer: _Layer, batch: int, positions: int) -> None:
+        like = layer.mix.weight
+        self._rows, self._width = batch * layer.heads, like.shape[0]
+        self._depth = self._width // layer.heads
+        self._shape = batch, 3, layer.heads, self._depth
+        self._past = like.new_empty(2, self._rows, positions, self._depth)
+        self._before, self._between = _norm(layer.before), _norm(layer.between)
+        self._project, self._mix = _linear(layer.project), _linear(layer.mix)
+        self._rise, self._fall = _linear(layer.rise), _linear(layer.fall)
+
+    def next(self, hidden: Tensor, seen: int) -> Tensor:
+        parts = _times(functional.layer_norm(hidden, *self._before), self._project)
+        parts = parts.view(self._shape).transpose(0, 1).reshape(3, self._rows, self._depth)
+        self._past[:, :, seen] = parts[1:]
+        keys, values = self._past[:, :, : seen + 1].unbind()  # (B h, n, d)
+        share = torch.bmm(keys, parts[0].unsqueeze(-1)).mul_(self._depth**-0.5).softmax(1)  # (B h, n, 1)
+        found = torch.bmm(share.transpose(1, 2), values).view(-1, self._width)
+        hidden = hidden + _times(found, self._mix)
+        inner = functional.gelu(_times(functional.layer_norm(hidden, *self._between), self._rise))
+        return hidden + _times(inner, self._fall)
+
+
+Linear = tuple[Tensor, Tensor]  # bias, and the weight as a product wants it
+
+
+def _linear(layer: nn.Linear) -> Linear:
+    return layer.bias, layer.weight.t()
+
+
+def _times(values: Tensor, linear: Linear) -> Tensor:
+    return torch.addmm(linear[0], values, linear[1])
+
+
+def _norm(norm: nn.LayerNorm) -> tuple[tuple[int, ...], Tensor, Tensor, float]:
+    return norm.normalized_shape, norm.weight, norm.bias, norm.eps
