@@ -155,6 +155,17 @@ def test_the_splits_share_no_episode(store: NativeStore) -> None:
     assert set(heldout.where(np.arange(len(heldout)))[0].tolist()) <= set(heldout.episodes.tolist())
 
 
+@pytest.mark.parametrize("kind", sorted(GoalSamplerConfig.get_known_choices()))
+@pytest.mark.parametrize("split", ["train", "heldout"])
+def test_no_goal_is_of_the_other_split(store: NativeStore, kind: str, split: str) -> None:
+    """A synthetic picture's first pixel names the episode it is of."""
+    goals = GoalSamplerConfig.get_choice_class(kind)()
+    data = dataclasses.replace(SEEN, goals=goals, heldout_share=0.5).build(store, split, 0)
+    assert 0 < len(data.episodes) < len(store)
+    shown = data.batch(np.arange(200), data.epoch_indices(0)[np.arange(200) % len(data)]).goal_images["front"]
+    assert set(shown[:, 0, 0, 1].tolist()) <= set(data.episodes.tolist())
+
+
 def test_more_play_moves_no_episode_across() -> None:
     all_of_them = heldout_episodes(np.arange(2000), 0.05)
     assert all_of_them.sum() == 100  # one of each block of 20

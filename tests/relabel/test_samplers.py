@@ -1,16 +1,23 @@
 """Laws that hold for every registered way of drawing goals, then what is particular to each."""
 
+import dataclasses
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from playlearn.errors import UsageError
 from playlearn.relabel import (
     UNIFORMS,
+    EpisodeConfig,
     FinalConfig,
     FixedConfig,
+    FutureConfig,
     GeometricConfig,
     GoalSamplerConfig,
     MixtureConfig,
+    RandomConfig,
     SettledConfig,
     SettlingConfig,
     Share,
@@ -79,24 +86,100 @@ def test_an_example_does_not_depend_on_its_batch(config: GoalSamplerConfig) -> N
     np.testing.assert_array_equal(sampler.draw(TABLE, episodes[some], t[some], uniforms[some]), goals[some])
 
 
-@pytest.mark.parametrize("kind", sorted(NEGATIVES))
-def test_negatives_are_even_over_where_they_come_from(kind: str) -> None:
-    """Chi-square over 20 equal parts: 19 degrees of freedom have mean 19 and standard deviation 6.2."""
-    config = GoalSamplerConfig.get_choice_class(kind)()
-    table = _table((400, 400))
-    sampler, n = config.build(), 40_000
-    episodes, t = np.ones(n, np.int64), np.full(n, 399)
+EPISODE, NOW = 0, 50  # where the goals of the laws below are drawn; the episode has 300 steps at 20 Hz
+
+
+def even(goals: object) -> dict[int, float]:
+    listed = [int(goal) for goal in goals]  # type: ignore[attr-defined]
+    return dict.fromkeys(listed, 1 / len(listed))
+
+
+def mixed(*parts: tuple[float, Mapping[int, float]]) -> dict[int, float]:
+    total: dict[int, float] = {}
+    for weight, part in parts:
+        for goal, share in part.items():
+            total[goal] = total.get(goal, 0.0) + weight * share
+    return total
+
+
+MOMENTS, ENDS = (found[TABLE.settled(EPISODE)[0] > NOW] for found in TABLE.settled(EPISODE))
+NEAR = even(range(51, 56))  # a quarter of a second
+TENTHS = {50 + k: 0.9 ** (k - 1) * 0.1 / (1 - 0.9**250) for k in range(1, 251)}  # geometric, mean 10, cut after 250
+LAWS = [
+    (FinalConfig(), {300: 1.0}),
+    (FixedConfig(seconds=2.0), {90: 1.0}),
+    (UniformConfig(horizon=0.25), NEAR),
+    (UniformConfig(horizon=100.0), even(range(51, 301))),
+    (FutureConfig(), even(range(51, 301))),
+    (GeometricConfig(mean=0.5), TENTHS),
+    (SettledConfig(hold=False), {int(MOMENTS[0]): 1.0}),
+    (SettledConfig(), even(range(MOMENTS[0], ENDS[0] + 1))),
+    (SettledConfig(ahead=3, hold=False), even(MOMENTS[:3])),
+    (
+        SettledConfig(ahead=2),
+        mixed(*((0.5, even(range(MOMENTS[k], ENDS[k] + 1))) for k in range(2))),
+    ),
+    (SettledConfig(ahead=1000, hold=False), even(MOMENTS)),  # no more than are left
+    (
+        MixtureConfig(
+            [
+                Share(SettledConfig(ahead=2, hold=False), 3.0),
+                Share(UniformConfig(horizon=0.25), 2.0),
+                Share(FinalConfig(), 1.0),
+            ]
+        ),
+        mixed((3 / 6, even(MOMENTS[:2])), (2 / 6, NEAR), (1 / 6, {300: 1.0})),
+    ),
+    # A share that can draw nothing here (20 s ahead of 12.5 s) is taken over by the others.
+    (
+        MixtureConfig(
+            [Share(FixedConfig(seconds=20.0), 5.0), Share(UniformConfig(horizon=0.25), 1.0), Share(FinalConfig(), 3.0)]
+        ),
+        mixed((1 / 4, NEAR), (3 / 4, {300: 1.0})),
+    ),
+    (EpisodeConfig(), even(goal for goal in range(301) if goal != NOW)),
+    (RandomConfig(), even(range(TABLE.rows[-1]))),  # episode 0 begins in row 0
+]
+
+
+@pytest.mark.parametrize(("config", "law"), LAWS, ids=lambda value: getattr(type(value), "__name__", ""))
+def test_goals_are_distributed_as_is_said(config: GoalSamplerConfig, law: Mapping[int, float]) -> None:
+    """Chi-square of 60,000 draws; by chance it would fail once in 10,000 seeds."""
+    n = 60_000
     uniforms = np.random.default_rng(0).random((n, UNIFORMS))
-    rows = table.rows[1] + sampler.draw(table, episodes, t, uniforms)
-    low, high = {"random": (0, 802), "episode": (401, 802)}[kind]
-    assert rows.min() >= low
-    assert rows.max() < high
-    if kind == "episode":
-        assert (rows != 401 + 399).all()  # never where it stands
-    counts, _ = np.histogram(rows, bins=20, range=(low, high))
-    width = np.diff(np.ceil(np.linspace(low, high, 21)))  # rows in each part
-    expected = n * width / width.sum()
-    assert ((counts - expected) ** 2 / expected).sum() < 19 + 5 * 6.2
+    goals = config.build().draw(TABLE, np.full(n, EPISODE), np.full(n, NOW), uniforms)
+    assert abs(sum(law.values()) - 1) < 1e-9
+    assert set(goals.tolist()) <= set(law)
+    expected = n * np.array(list(law.values()))
+    counts = np.array([(goals == goal).sum() for goal in law])
+    rare = expected < 10  # together, as the statistic asks for
+    expected = np.append(expected[~rare], expected[rare].sum() or 1e-9)
+    counts = np.append(counts[~rare], counts[rare].sum())
+    statistic = float(((counts - expected) ** 2 / expected).sum())
+    assert statistic <= max(chi2.isf(1e-4, len(expected) - 1), 1e-6)
+
+
+def test_every_kind_has_its_law() -> None:
+    known = {GoalSamplerConfig.get_choice_class(kind) for kind in GoalSamplerConfig.get_known_choices()}
+    assert {type(config) for config, _ in LAWS} == known
+
+
+@pytest.mark.parametrize("kind", ["fixed", "future", "geometric", "mixture", "uniform"])
+def test_windows_are_in_seconds(kind: str) -> None:
+    """Goals lie as far ahead at 100 Hz as at 20 Hz, but for whole steps: a step, and 0.5 of 60 in a geometric mean."""
+    steps = 60_000  # long enough that nothing is cut at its end
+    slow, fast = (
+        dataclasses.replace(
+            Table.build([np.zeros((steps * k + 1, 1), np.float32)], ("red.x",), FPS, SettlingConfig()), fps=FPS * k
+        )
+        for k in (1, 5)
+    )
+    n = 1000
+    uniforms = np.random.default_rng(0).random((n, UNIFORMS))
+    sampler = GoalSamplerConfig.get_choice_class(kind)().build()
+    at = np.zeros(n, np.int64)
+    ahead = [sampler.draw(table, at, at, uniforms) / table.fps for table in (slow, fast)]
+    assert (np.abs(ahead[0] - ahead[1]) <= 1.001 / FPS + 0.01 * ahead[1]).all()
 
 
 def test_settled_goals_are_settled(config: GoalSamplerConfig) -> None:
@@ -162,15 +245,6 @@ def test_fixed_is_always_as_far_ahead() -> None:
     assert set(episodes.tolist()) == {0, 3}
 
 
-def test_uniform_is_even_over_its_horizon() -> None:
-    table = _table((4000,))
-    _, t, goals = _drawn(UniformConfig(horizon=0.5), table)
-    counts = np.bincount((goals - t)[:-10], minlength=11)
-    assert counts[0] == 0
-    # 10 equally likely distances: 400 each, standard deviation 19.
-    assert (np.abs(counts[1:] - counts.sum() / 10) < 5 * 19).all()
-
-
 def test_geometric_has_its_mean_and_is_cut_at_the_end() -> None:
     table = _table((20_000,))
     _, t, goals = _drawn(GeometricConfig(mean=2.0), table)
@@ -191,30 +265,12 @@ def test_geometric_near_the_end_is_the_same_law_over_what_is_left() -> None:
     assert abs((goals == TABLE.lengths[0]).mean() - 0.494) < 5 * 0.0035
 
 
-def test_mixture_keeps_its_shares() -> None:
-    table = _table((4000,))
-    mixture = MixtureConfig([Share(FinalConfig(), 3.0), Share(FixedConfig(seconds=0.05), 1.0)])
-    _, t, goals = _drawn(mixture, table)
-    final = (goals == 4000)[:-1].mean()
-    assert abs(final - 0.75) < 5 * 0.0069  # sqrt(0.75 * 0.25 / 4000)
-    assert (goals[goals != 4000] == t[goals != 4000] + 1).all()
-
-
 def test_mixture_goes_on_with_those_that_can() -> None:
     mixture = MixtureConfig([Share(SettledConfig(), 0.5), Share(FinalConfig(), 0.5)])
     episodes, t, goals = _drawn(mixture)
     assert len(t) == TABLE.lengths.sum()
     none = TABLE.following(episodes, t) == TABLE.offsets[episodes + 1]
     np.testing.assert_array_equal(goals[none], TABLE.lengths[episodes[none]])
-
-
-def test_a_mixed_strategy_draws_as_it_does_alone() -> None:
-    """The number that chose a strategy is again even over [0, 1) inside it."""
-    table = _table((4000,))
-    _, t, goals = _drawn(MixtureConfig([Share(FinalConfig(), 1.0), Share(UniformConfig(horizon=0.5), 1.0)]), table)
-    counts = np.bincount((goals - t)[goals < 3990], minlength=11)[1:11]
-    # About 2,000 draws over 10 distances: 200 each, standard deviation 13.
-    assert (np.abs(counts - counts.sum() / 10) < 5 * 13).all()
 
 
 @pytest.mark.parametrize(
