@@ -18,6 +18,7 @@ from accelerate import Accelerator
 from torch import Tensor, nn
 
 from playlearn.config import atomic_write, git_revision, load_config, save_config, to_dict, versions
+from playlearn.corrections import Corrections, CorrectionsConfig, make_corrections
 from playlearn.data import Batch, DataConfig, PlayDataset, statistics
 from playlearn.errors import UsageError
 from playlearn.policies import Policy, PolicyConfig, PolicySpec
@@ -35,6 +36,8 @@ class TrainConfig:
     """A training run.
 
     store: the play. data: how examples are cut from it; its history, chunk, cameras and goal_names are the policy's.
+    corrections: moments with the hand put aside and the way back as label, made before the first update and shown
+    among the recorded ones (see CorrectionsConfig); null for none.
     batch_size: examples an update and process. steps: updates, unless max_minutes of wall clock are over
     before; the learning rate then falls with whichever is further on, and a resumed run is no longer bit for
     bit an unbroken one. lr: peak learning rate, after `warmup` updates, then a cosine to zero.
@@ -47,6 +50,7 @@ class TrainConfig:
     store: Path = Path("datasets/play")
     data: DataConfig = field(default_factory=DataConfig)
     policy: PolicyConfig = field(default_factory=PolicyConfig)
+    corrections: CorrectionsConfig | None = None
     batch_size: int = 256
     steps: int = 20_000
     max_minutes: float | None = None
@@ -108,6 +112,7 @@ def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
         run.load()
     elif run.accelerator.is_main_process:
         run.describe()
+    run.correct()
     with _interruption_deferred() as interrupted, Progress("train", 100.0, "%", 100 * run.progress()) as progress:
         run.loop(interrupted, progress)
 
@@ -147,6 +152,17 @@ class _Run:
         self.model, self.optimizer = self.accelerator.prepare(policy, optimizer)
         self.step, self.seconds = 0, 0.0
         self.began = self.step, self.seconds
+
+    def correct(self) -> None:
+        """Make what corrections are asked for, and show them."""
+        corrections = self.config.corrections
+        if corrections is None:
+            return
+        folder = corrections.folder or self.out / "corrections"
+        if self.accelerator.is_main_process:
+            make_corrections(corrections, self.store, self.data.episodes, self.config.data.cameras, folder)
+        self.accelerator.wait_for_everyone()
+        self.data.vary = Corrections(folder, self.data, corrections.share)
 
     def loop(self, interrupted: threading.Event, progress: Progress) -> None:
         config, accelerator = self.config, self.accelerator

@@ -18,6 +18,7 @@ import numpy as np
 import playlearn.sim.robots  # noqa: F401 - registers them
 from playlearn.episode import Array, Observation
 from playlearn.errors import ActionError, SimulationDiverged, UsageError
+from playlearn.sim.displace import displace, touching
 from playlearn.sim.environment import CameraConfig, EnvironmentSpec
 from playlearn.sim.osc import ArmControl
 from playlearn.sim.render import Renderer
@@ -68,7 +69,7 @@ class RobosuiteWorld:
         self.data = mujoco.MjData(self.model)
         self._home = robosuite_env.sim.data.qpos.copy()
         self._site = int(robot.eef_site_id["right"])
-        self._arm_qpos = np.asarray(arm.qpos_index, np.int64)
+        self._arm_qpos, self._arm_qvel = np.asarray(arm.qpos_index, np.int64), np.asarray(arm.qvel_index, np.int64)
         self._rest = np.asarray(robot.init_qpos, float)[: len(self._arm_qpos)]
         scale = (np.asarray(arm.output_max) - np.asarray(arm.output_min)) / 2
         self._arm = ArmControl(
@@ -201,6 +202,14 @@ class RobosuiteWorld:
         self._check_physics(before)
         self._refresh()
         self._after_step()
+
+    def displace(self, shift: Array, turn: Array) -> bool:
+        """See `playlearn.sim.displace.Displaceable`."""
+        there = displace(self.model, self.data, self._site, self._arm_qpos, self._arm_qvel, shift, turn)
+        return there and not self.touching()
+
+    def touching(self) -> bool:
+        return touching(self.model, self.data, self._site)
 
     def observe(self, cameras: Sequence[str] = ()) -> Observation:
         rotation = self.data.site_xmat[self._site].reshape(3, 3)

@@ -1,0 +1,77 @@
+"""How far a hand really goes for what it is told, measured on play; and what to tell it to undo a displacement."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from playlearn.episode import Array
+from playlearn.errors import UsageError
+from playlearn.store import Store
+
+_LAGS = 8  # steps within which an action has had its effect
+_POSITION = ("eef.x", "eef.y", "eef.z")
+_AXES = ("eef.r00", "eef.r10", "eef.r20", "eef.r01", "eef.r11", "eef.r21")
+_MOVES = ("dx", "dy", "dz", "droll", "dpitch", "dyaw")
+
+
+def hand_response(store: Store, episodes: Sequence[int]) -> Array:
+    """(2, 3, 3): metres of displacement, and radians of rotation, that an action of 1 adds up to in the end.
+
+    The sum over the lags of a linear fit of each step's motion on the actions before it. A controller whose goal
+    is counted anew from where the hand is, as OSC_POSE's with deltas, goes a good deal less far than it is told.
+    episodes: positions in the store.
+
+    Raises:
+        UsageError: state or action say nothing of a hand's pose.
+    """
+    names, moves = store.spec.state_names, store.spec.action_names
+    lacking = [name for name in (*_POSITION, *_AXES) if name not in names] + [m for m in _MOVES if m not in moves]
+    if lacking:
+        raise UsageError(f"corrections need a hand's pose and its motions; {store.name()} has no {', '.join(lacking)}")
+    where, axes = _places(names)
+    told = [moves.index(name) for name in _MOVES]
+    causes: list[list[Array]] = [[], []]
+    effects: list[list[Array]] = [[], []]
+    for i in episodes:
+        state = store.array(int(i), "observation.state").astype(float)
+        action = store.array(int(i), "action")[:, told].astype(float)
+        if len(action) < _LAGS:
+            continue
+        motion = np.diff(state[:, where], axis=0), _turns(state[:, axes])
+        lagged = np.stack([action[_LAGS - 1 - lag : len(action) - lag] for lag in range(_LAGS)], axis=1)  # (n, L, 6)
+        for kind in range(2):
+            causes[kind].append(lagged[:, :, 3 * kind : 3 * kind + 3].reshape(len(lagged), -1))
+            effects[kind].append(motion[kind][_LAGS - 1 :])
+    if not causes[0]:
+        raise UsageError(f"{store.name()}: its episodes are too short to measure how the hand responds")
+    fits = [
+        np.linalg.lstsq(np.concatenate(cause), np.concatenate(effect), rcond=None)[0]  # (L 3, 3)
+        for cause, effect in zip(causes, effects, strict=True)
+    ]
+    return np.stack([fit.reshape(_LAGS, 3, 3).sum(axis=0).T for fit in fits])
+
+
+def offset(names: Sequence[str], state: Array, other: Array) -> Array:
+    """(6,) m and rad: how far the hand of one `observation.state` (S,) is from that of another, small turns only."""
+    where, axes = _places(names)
+    return np.concatenate([state[where].astype(float) - other[where], _turns(np.stack([other, state])[:, axes])[0]])
+
+
+def undoing(response: Array, off: Array) -> Array:
+    """(6,) the sum of actions that takes a displacement (6,) back. response: see `hand_response`."""
+    return -np.concatenate([np.linalg.solve(response[0], off[:3]), np.linalg.solve(response[1], off[3:])])
+
+
+def _places(names: Sequence[str]) -> tuple[list[int], list[int]]:
+    """Where in a state the hand's position and orientation stand."""
+    return [names.index(name) for name in _POSITION], [names.index(name) for name in _AXES]
+
+
+def _turns(axes: Array) -> Array:
+    """(T, 3) rad: the rotation vectors between T+1 orientations, each the first two columns of its matrix."""
+    first, second = axes[:, :3].astype(float), axes[:, 3:].astype(float)
+    matrices = np.stack([first, second, np.cross(first, second)], axis=2)  # (T+1, 3, 3)
+    between = matrices[1:] @ matrices[:-1].transpose(0, 2, 1)
+    # Small turns: the vector is the skew part.
+    skew = between - between.transpose(0, 2, 1)
+    return 0.5 * np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
