@@ -201,15 +201,15 @@ class PlayDataset:
         goal_row = self.table.rows[episode] + goal
         shown = np.searchsorted(self.table.rows, goal_row, side="right") - 1  # the goal's episode
         goals = (goal_row - self.table.rows[shown])[:, None]
-        return Batch(
-            state=torch.from_numpy(self.state[rows]),
-            achieved=torch.from_numpy(self.achieved[rows]),
+        return Batch(  # `take` is up to 20 times as quick as brackets, where rows are short
+            state=torch.from_numpy(self.state.take(rows, axis=0)),
+            achieved=torch.from_numpy(self.achieved.take(rows, axis=0)),
             images={camera: self._frames(camera, episode, seen) for camera in config.cameras},
             history_mask=torch.from_numpy(past >= 0),
-            goal_achieved=torch.from_numpy(self.achieved[goal_row]),
-            goal_state=torch.from_numpy(self.state[goal_row]),
+            goal_achieved=torch.from_numpy(self.achieved.take(goal_row, axis=0)),
+            goal_state=torch.from_numpy(self.state.take(goal_row, axis=0)),
             goal_images={camera: self._frames(camera, shown, goals)[:, 0] for camera in config.goal_cameras},
-            action=torch.from_numpy(self.action[labels]),
+            action=torch.from_numpy(self.action.take(labels, axis=0)),
             action_mask=torch.from_numpy(ahead < limit[:, None]),
             steps_to_goal=torch.from_numpy(np.where(leads, goal - t, 0)),
         )
