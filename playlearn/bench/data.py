@@ -73,9 +73,9 @@ def _our_batches(dataset: PlayDataset) -> Iterator[Batch]:
     """In the calling thread; training also prepares the next one in a thread beside."""
     epoch = 0
     while True:
-        order = dataset.epoch_indices(epoch)
-        for start in range(0, len(order), EXAMPLES):
-            yield dataset.batch(epoch, order[start : start + EXAMPLES])
+        order, examples = dataset.epoch_indices(epoch), min(EXAMPLES, len(dataset))
+        for start in range(0, len(order) - examples + 1, examples):
+            yield dataset.batch(epoch, order[start : start + examples])
         epoch += 1
 
 
@@ -108,10 +108,12 @@ class _PeerGoals(torch.utils.data.Dataset[dict[str, Any]]):
 def _peer_batches(root: Path, fps: float) -> Iterator[Any]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
+        dataset = _PeerGoals(root, fps)
         loader = torch.utils.data.DataLoader(
-            _PeerGoals(root, fps),
-            EXAMPLES,
+            dataset,
+            min(EXAMPLES, len(dataset)),
             shuffle=True,
+            drop_last=True,
             generator=torch.Generator().manual_seed(SEED),
             num_workers=0,
         )

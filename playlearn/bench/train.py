@@ -45,9 +45,12 @@ def training(size: Size) -> list[Figure]:
 
 
 def _figure(what: str, ours: Policy, peer: Any, size: Size) -> Figure:
-    updates = max(1, size.steps // 50)
+    updates, examples = max(1, size.steps // 50), min(EXAMPLES, size.steps)
     measured = rates(
-        {"ours": partial(_turn, _our_update(ours), updates), "peer": partial(_turn, _peer_update(peer), updates)},
+        {
+            "ours": partial(_turn, _our_update(ours, examples), updates),
+            "peer": partial(_turn, _peer_update(peer, examples), updates),
+        },
         size.rounds,
     )
     parameters = [sum(p.numel() for p in policy.parameters()) / 1e6 for policy in (ours, peer)]
@@ -80,22 +83,22 @@ def _ours(encoder: ImageConfig, head: DiffusionConfig) -> Policy:
     return PolicyConfig(encoder=encoder, head=head, chunk=CHUNK).build(spec, None, SEED)
 
 
-def _our_update(policy: Policy) -> Callable[[], None]:
+def _our_update(policy: Policy, examples: int) -> Callable[[], None]:
     """As `playlearn train` makes one."""
     optimizer = torch.optim.AdamW(policy.parameters(), fused=True)
     ema, generator = averaged(policy, 0.999), torch.Generator().manual_seed(SEED)
-    images = dict.fromkeys(CAMERAS, torch.randint(256, (EXAMPLES, 1, SIDE, SIDE, 3), dtype=torch.uint8))
+    images = dict.fromkeys(CAMERAS, torch.randint(256, (examples, 1, SIDE, SIDE, 3), dtype=torch.uint8))
     batch = Batch(
-        state=torch.randn(EXAMPLES, 1, STATE),
-        achieved=torch.randn(EXAMPLES, 1, ACHIEVED),
+        state=torch.randn(examples, 1, STATE),
+        achieved=torch.randn(examples, 1, ACHIEVED),
         images=images,
-        history_mask=torch.ones(EXAMPLES, 1, dtype=torch.bool),
-        goal_achieved=torch.randn(EXAMPLES, ACHIEVED),
-        goal_state=torch.randn(EXAMPLES, STATE),
+        history_mask=torch.ones(examples, 1, dtype=torch.bool),
+        goal_achieved=torch.randn(examples, ACHIEVED),
+        goal_state=torch.randn(examples, STATE),
         goal_images={GOAL_CAMERA: images[GOAL_CAMERA][:, 0]},
-        action=torch.rand(EXAMPLES, CHUNK, ACTION) * 2 - 1,
-        action_mask=torch.ones(EXAMPLES, CHUNK, dtype=torch.bool),
-        steps_to_goal=torch.ones(EXAMPLES, dtype=torch.int64),
+        action=torch.rand(examples, CHUNK, ACTION) * 2 - 1,
+        action_mask=torch.ones(examples, CHUNK, dtype=torch.bool),
+        steps_to_goal=torch.ones(examples, dtype=torch.int64),
     )
 
     def update() -> None:
@@ -138,15 +141,15 @@ def _peer_images() -> tuple[str, ...]:
     return *(f"observation.images.{camera}" for camera in CAMERAS), f"observation.images.goal_{GOAL_CAMERA}"
 
 
-def _peer_update(policy: Any) -> Callable[[], None]:
+def _peer_update(policy: Any, examples: int) -> Callable[[], None]:
     """As `lerobot-train` makes one."""
     preset = policy.config.get_optimizer_preset()
     optimizer = preset.build(policy.get_optim_params())
     batch = {
-        "observation.state": torch.randn(EXAMPLES, 1, STATE),
-        "action": torch.rand(EXAMPLES, CHUNK, ACTION) * 2 - 1,
-        "action_is_pad": torch.zeros(EXAMPLES, CHUNK, dtype=torch.bool),
-        **{key: torch.randn(EXAMPLES, 1, 3, SIDE, SIDE) for key in _peer_images()},
+        "observation.state": torch.randn(examples, 1, STATE),
+        "action": torch.rand(examples, CHUNK, ACTION) * 2 - 1,
+        "action_is_pad": torch.zeros(examples, CHUNK, dtype=torch.bool),
+        **{key: torch.randn(examples, 1, 3, SIDE, SIDE) for key in _peer_images()},
     }
     policy.train()
 
