@@ -38,6 +38,7 @@ SMALL: dict[str, dict[str, Any]] = {
     "flow": {"width": 32, "blocks": 2, "sample_steps": 3},
     "gaussian": {"hidden": 16},
     "latent_plan": {"hidden": 16, "latent": 4},
+    "logistic": {"components": 3, "bins": 16, "hidden": 16},
     "mog": {"components": 3, "hidden": 16},
     "transformer": {"width": 32, "layers": 2},
     "lstm": {"width": 32, "layers": 1},

@@ -14,6 +14,7 @@ from playlearn.policies.heads import (
     Head,
     HeadConfig,
     LatentPlanConfig,
+    LogisticConfig,
     MixtureConfig,
     draw_noise,
     masked_mean,
@@ -74,6 +75,7 @@ MULTIMODAL = {
     ),
     "flow": FlowConfig(width=64, blocks=2, sample_steps=20),
     "mixture": MixtureConfig(components=3, hidden=32),
+    "logistic": LogisticConfig(components=3, bins=32, hidden=32),
     "autoregressive": AutoregressiveConfig(bins=32, width=32, layers=1, soft=0.0),
     "autoregressive, a step at a time": AutoregressiveConfig(bins=32, order="step", width=32, layers=1, soft=0.0),
 }
@@ -105,6 +107,7 @@ def test_one_gaussian_averages_two_modes() -> None:
 LIKELY = {
     "gaussian": GaussianConfig(hidden=8),
     "mixture": MixtureConfig(components=3, hidden=8, spread=(0.2, 0.8)),
+    "logistic": LogisticConfig(components=3, bins=20, hidden=8),
     "autoregressive": AutoregressiveConfig(bins=20, width=16, layers=1, top_p=1.0),
 }
 
@@ -157,6 +160,28 @@ def test_both_samplers_end_where_a_perfect_denoiser_points() -> None:
 def test_guidance_extrapolates_from_without_to_with_the_goal() -> None:
     guide = Guidance(torch.zeros(1, 1), weight=3.0)
     assert guide.combine(torch.tensor(2.0), torch.tensor(1.0)) == 4.0  # 1 + 3 (2 - 1)
+
+
+def test_the_bins_of_a_logistic_share_one_out() -> None:
+    """Of two numbers, the shares of all 12 x 12 pairs of bins, each density times the bin's area, sum to one.
+
+    Whatever the weights, and with a spread so small that nearly all is in one bin, or in the tails beyond the last.
+    """
+    data = torch.rand(200, 1, 2, generator=generator()) * torch.tensor([1.0, 3.0]) - 0.5
+    for spread in ((0.001, 0.002), (0.5, 1.0), (50.0, 60.0)):
+        torch.manual_seed(0)
+        head = LogisticConfig(components=3, bins=12, hidden=8, spread=spread).build(4, 1, 2).double()
+        head.fit(data.double())
+        low, width = head.law.get_buffer("low"), head.law.get_buffer("width")
+        middles = low + (torch.arange(12)[:, None] + 0.5) * width  # (12, 2)
+        grid = torch.cartesian_prod(middles[:, 0], middles[:, 1]).unsqueeze(1)  # (144, 1, 2)
+        features = torch.randn(1, 4, generator=generator(1)).double().expand(144, -1)
+        mask = torch.ones(144, 1, dtype=torch.bool)
+        share = head.log_prob(features, grid, mask).exp() * width.prod()
+        assert share.sum().item() == pytest.approx(1.0, abs=1e-9)
+        beyond = grid + 12 * width
+        assert (head.log_prob(features, beyond, mask) == -torch.inf).all()
+        assert head.loss(features, beyond, mask, generator())[0].isfinite()
 
 
 @pytest.mark.parametrize("binning", ["uniform", "quantile"])

@@ -8,6 +8,7 @@ from playlearn.policies.heads.diffusion import DiffusionConfig
 from playlearn.policies.heads.flow import FlowConfig
 from playlearn.policies.heads.gaussian import GaussianConfig
 from playlearn.policies.heads.latent_plan import LatentPlanConfig
+from playlearn.policies.heads.logistic import LogisticConfig
 from playlearn.policies.heads.mog import MixtureConfig
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "Head",
     "HeadConfig",
     "LatentPlanConfig",
+    "LogisticConfig",
     "MixtureConfig",
     "draw_noise",
     "masked_mean",

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from playlearn.policies.heads.base import HeadConfig
-from playlearn.policies.heads.mog import MixtureConfig, MixtureHead
+from playlearn.policies.heads.mog import Gaussian, MixtureConfig, MixtureHead
 
 
 @HeadConfig.register_subclass("gaussian")
@@ -17,4 +17,4 @@ class GaussianConfig(HeadConfig):
 
     def build(self, width: int, chunk: int, actions: int) -> MixtureHead:
         mixture = MixtureConfig(1, self.hidden, self.spread, self.temperature)
-        return MixtureHead(mixture, width, chunk, actions)
+        return MixtureHead(mixture, width, chunk, actions, Gaussian())

@@ -16,8 +16,8 @@ class MixtureConfig(HeadConfig):
 
     spread: least and greatest standard deviation, in those of the data. Scripted labels hardly scatter, and a
     likelihood without a floor is won by being sure of what is sure anyway (that the gripper stays as it is)
-    and not by being right where it matters: a floor of 0.02 cost most of the goals. temperature: sharpens (< 1) or flattens the weights, and scales the
-    spreads, of what is sampled.
+    and not by being right where it matters: a floor of 0.02 cost most of the goals. temperature: sharpens (< 1)
+    or flattens the weights, and scales the spreads, of what is sampled.
     """
 
     components: int = 5
@@ -26,7 +26,7 @@ class MixtureConfig(HeadConfig):
     temperature: float = 1.0
 
     def build(self, width: int, chunk: int, actions: int) -> "MixtureHead":
-        return MixtureHead(self, width, chunk, actions)
+        return MixtureHead(self, width, chunk, actions, Gaussian())
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,13 +38,48 @@ class Mixture:
     log_spread: Tensor
 
 
+class Law(nn.Module):
+    """How a number scatters about a component's mean; mean and log_spread (..., H, A)."""
+
+    def fit(self, chunks: Tensor) -> None:
+        """As of `Head`."""
+
+    def log_prob(self, shown: Tensor, mean: Tensor, log_spread: Tensor) -> Tensor:
+        """(..., H, A) log density of each number, for a loss: nowhere minus infinity."""
+        raise NotImplementedError
+
+    def possible(self, shown: Tensor) -> Tensor:
+        """(..., H, A) bool, whether such a number can come at all."""
+        return torch.ones_like(shown, dtype=torch.bool)
+
+    def draw(self, mean: Tensor, spread: Tensor, normal: Tensor) -> Tensor:
+        """Standard normal numbers as draws."""
+        raise NotImplementedError
+
+    def nearest(self, numbers: Tensor) -> Tensor:
+        """The possible numbers that are nearest to these."""
+        return numbers
+
+
+class Gaussian(Law):
+    def log_prob(self, shown: Tensor, mean: Tensor, log_spread: Tensor) -> Tensor:
+        off = (shown - mean) / log_spread.exp()
+        return -0.5 * off.square() - log_spread - 0.5 * math.log(2 * math.pi)
+
+    def draw(self, mean: Tensor, spread: Tensor, normal: Tensor) -> Tensor:
+        return mean + spread * normal
+
+
 class MixtureHead(Head):
-    def __init__(self, config: MixtureConfig, width: int, chunk: int, actions: int) -> None:
+    def __init__(self, config: MixtureConfig, width: int, chunk: int, actions: int, law: Law) -> None:
         super().__init__()
-        self.config = config
+        self.config, self.law = config, law
         self.shape = (config.components, chunk, actions)
         self.sizes = (config.components, math.prod(self.shape), math.prod(self.shape))
         self.net = nn.Sequential(nn.Linear(width, config.hidden), nn.GELU(), nn.Linear(config.hidden, sum(self.sizes)))
+
+    def fit(self, chunks: Tensor) -> None:
+        self.law.fit(chunks)
 
     def loss(
         self, features: Tensor, chunk: Tensor, mask: Tensor, generator: torch.Generator
@@ -54,24 +89,34 @@ class MixtureHead(Head):
         mixture = self._mixture(features, None)
         weights = mixture.logits.softmax(-1)
         used = torch.exp(-(weights * weights.clamp(min=1e-9).log()).sum(-1)).mean()
-        return -_log_prob(mixture, chunk, mask).sum() / numbers, {"components_used": used}
+        return -self._log_prob(mixture, chunk, mask).sum() / numbers, {"components_used": used}
 
     def log_prob(self, features: Tensor, chunk: Tensor, mask: Tensor) -> Tensor:
         """(B,) log density of the actions that `mask` (B, H) leaves, in normalised action space."""
-        return _log_prob(self._mixture(features, None), chunk, mask)
+        never = (~self.law.possible(chunk)).any(-1) & mask  # (B, H)
+        return self._log_prob(self._mixture(features, None), chunk, mask).masked_fill(never.any(1), -torch.inf)
 
     def sample(self, features: Tensor, generator: Generators, guidance: Guidance | None = None) -> Tensor:
         mixture, temperature = self._mixture(features, guidance), self.config.temperature
         gumbel = _gumbel(draw_noise(mixture.logits.shape, generator, features.device))
         chosen = (mixture.logits / temperature + gumbel).argmax(-1)  # a draw from the weights
         noise = draw_noise((len(features), *self.shape[1:]), generator, features.device)
-        return _of(mixture.mean, chosen) + temperature * _of(mixture.log_spread, chosen).exp() * noise
+        return self.law.draw(_of(mixture.mean, chosen), temperature * _of(mixture.log_spread, chosen).exp(), noise)
 
     def mode(self, features: Tensor, guidance: Guidance | None = None) -> Tensor:
         """The centre of the component whose peak is the highest."""
         mixture = self._mixture(features, guidance)
         peak = mixture.logits - mixture.log_spread.sum((-2, -1))
-        return _of(mixture.mean, peak.argmax(-1))
+        return self.law.nearest(_of(mixture.mean, peak.argmax(-1)))
+
+    def _log_prob(self, mixture: Mixture, chunk: Tensor, mask: Tensor) -> Tensor:
+        # where(), not a product: a masked action may be anything, NaN included
+        shown = torch.where(mask.unsqueeze(-1), chunk, 0.0).unsqueeze(1)  # (B, 1, H, A)
+        each = self.law.log_prob(shown, mixture.mean, mixture.log_spread)  # (B, K, H, A)
+        whole = torch.where(mask[:, None, :, None], each, 0.0).sum((-2, -1))
+        weights = torch.where(mask.any(1, keepdim=True), mixture.logits.log_softmax(-1), 0.0)
+        total = torch.logsumexp(weights + whole, dim=-1)
+        return torch.where(mask.any(1), total, 0.0)
 
     def _mixture(self, features: Tensor, guidance: Guidance | None) -> Mixture:
         parameters = self.net(features)
@@ -81,17 +126,6 @@ class MixtureHead(Head):
         low, high = (math.log(bound) for bound in self.config.spread)
         log_spread = low + (high - low) * torch.sigmoid(spread + 1.0)
         return Mixture(logits, mean.unflatten(-1, self.shape), log_spread.unflatten(-1, self.shape))
-
-
-def _log_prob(mixture: Mixture, chunk: Tensor, mask: Tensor) -> Tensor:
-    # where(), not a product: a masked action may be anything, NaN included
-    shown = torch.where(mask.unsqueeze(-1), chunk, 0.0).unsqueeze(1)  # (B, 1, H, A)
-    off = (shown - mixture.mean) / mixture.log_spread.exp()
-    each = -0.5 * off.square() - mixture.log_spread - 0.5 * math.log(2 * math.pi)  # (B, K, H, A)
-    whole = torch.where(mask[:, None, :, None], each, 0.0).sum((-2, -1))
-    weights = torch.where(mask.any(1, keepdim=True), mixture.logits.log_softmax(-1), 0.0)
-    total = torch.logsumexp(weights + whole, dim=-1)
-    return torch.where(mask.any(1), total, 0.0)
 
 
 def _of(values: Tensor, chosen: Tensor) -> Tensor:
