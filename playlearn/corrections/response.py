@@ -17,7 +17,9 @@ _MOVES = ("dx", "dy", "dz", "droll", "dpitch", "dyaw")
 def hand_response(store: Store, episodes: Sequence[int]) -> Array:
     """(2, 3, 3): metres of displacement, and radians of rotation, that an action of 1 adds up to in the end.
 
-    The sum over the lags of a linear fit of each step's motion on the actions before it. A controller whose goal
+    The sum over the lags of a linear fit of each step's motion on the actions before it; of that the nearest turn
+    (the arm's base may stand turned) times the middle one of its three gains, because an axis that was moved only
+    to hold it still seems to answer less than it does. A controller whose goal
     is counted anew from where the hand is, as OSC_POSE's with deltas, goes a good deal less far than it is told.
     episodes: positions in the store.
 
@@ -48,7 +50,7 @@ def hand_response(store: Store, episodes: Sequence[int]) -> Array:
         np.linalg.lstsq(np.concatenate(cause), np.concatenate(effect), rcond=None)[0]  # (L 3, 3)
         for cause, effect in zip(causes, effects, strict=True)
     ]
-    return np.stack([fit.reshape(_LAGS, 3, 3).sum(axis=0).T for fit in fits])
+    return np.stack([_alike(fit.reshape(_LAGS, 3, 3).sum(axis=0).T) for fit in fits])
 
 
 def offset(names: Sequence[str], state: Array, other: Array) -> Array:
@@ -65,6 +67,12 @@ def undoing(response: Array, off: Array) -> Array:
 def _places(names: Sequence[str]) -> tuple[list[int], list[int]]:
     """Where in a state the hand's position and orientation stand."""
     return [names.index(name) for name in _POSITION], [names.index(name) for name in _AXES]
+
+
+def _alike(gain: Array) -> Array:
+    """(3, 3) that turns as `gain` does and answers alike along each axis."""
+    left, sizes, right = np.linalg.svd(gain)
+    return np.asarray(left @ right * np.median(sizes))
 
 
 def _turns(axes: Array) -> Array:
