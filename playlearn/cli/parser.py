@@ -65,10 +65,15 @@ def _parser() -> argparse.ArgumentParser:
     )
     _workers(made)
 
-    made = verb(commands.view, "view", "open an episode or an evaluation in rerun, or write it to a file (.rrd)")
+    made = verb(commands.view, "view", "open an episode or an evaluation in rerun, or write it to a file")
     made.add_argument("path", type=Path, metavar="STORE|RESULTS")
     made.add_argument("--episode", type=int, default=0, metavar="I", help="which one, from 0 (default %(default)s)")
-    made.add_argument("--save", type=Path, metavar="FILE.rrd", help="write a file instead of opening a window")
+    made.add_argument(
+        "--save",
+        type=Path,
+        metavar="FILE.rrd|FILE.png",
+        help="write a file instead of opening a window; .png: the episode's timeline",
+    )
 
     made = verb(commands.train, "train", "learn a policy from a store", free=True, kept=kept)
     _config(made, "configs/train/NAME.yaml")
