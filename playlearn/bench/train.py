@@ -3,8 +3,8 @@
 Held equal: the batch; three images an example (front and wrist now, front in the goal: to LeRobot, whose policies
 know no goals, a third camera), their size, state and action; one observation of history, the chunk, the length of
 the noise schedule; the number of parameters as nearly as each one's own sizes allow, which the figure's name tells;
-AdamW or Adam in float32; one thread, so that other work on the machine disturbs neither more. An update is forward,
-backward, clipping of the gradient and the optimiser's step.
+AdamW or Adam in float32; one thread. An update is forward, backward, clipping of the gradient and the optimiser's
+step; its seconds are those that the processor works on it, so that other work on the machine disturbs neither.
 
 In LeRobot's favour: its images come as normalised floats (its processor makes them so before every update), ours as
 they are stored; ours keeps an average of its weights besides.
@@ -63,10 +63,10 @@ def _figure(what: str, ours: Policy, peer: Any, size: Size) -> Figure:
 
 
 def _turn(update: Callable[[], None], updates: int) -> tuple[int, float]:
-    began = time.perf_counter()
+    began = time.process_time()
     for _ in range(updates):
         update()
-    return updates, time.perf_counter() - began
+    return updates, time.process_time() - began
 
 
 def _ours(encoder: ImageConfig, head: DiffusionConfig) -> Policy:
