@@ -11,8 +11,12 @@ from playlearn.errors import CheckpointError
 from playlearn.policies import Policy
 from tests.policies.parts import ENCODERS, HEADS, SPEC, TRUNKS, A, H, examples, generator, policy, take
 
-# every encoder with every head over one trunk, then every trunk
-KINDS = [*itertools.product(ENCODERS, ["mlp"], HEADS), *(("state", trunk, "deterministic") for trunk in TRUNKS)]
+# every head, every encoder with a head that draws noise and one that does not, every trunk: a head sees features alone
+KINDS = [
+    *(("state", "mlp", head) for head in HEADS),
+    *itertools.product([kind for kind in ENCODERS if kind != "state"], ["mlp"], ["deterministic", "diffusion"]),
+    *(("state", trunk, "deterministic") for trunk in TRUNKS if trunk != "mlp"),
+]
 every_kind = pytest.mark.parametrize(("encoder", "trunk", "head"), KINDS)
 
 

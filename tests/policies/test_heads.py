@@ -48,11 +48,16 @@ def test_the_deterministic_head_finds_the_median_or_the_mean(loss: str, expected
     assert head.mode(torch.ones(1, 1)).item() == pytest.approx(expected, abs=0.03)
 
 
-def taught_two_modes(config: HeadConfig, updates: int = 400) -> Head:
-    """A head that has seen whole chunks (2, 1) of -1 (a quarter of them) and of +1 (three quarters)."""
+def taught_two_modes(config: HeadConfig, updates: int = 400, *, settle: bool = False) -> Head:
+    """A head that has seen whole chunks (2, 1) of -1 (a quarter of them) and of +1 (three quarters).
+
+    settle: let the rate fall to nothing, so that what comes out is not the last few examples'.
+    """
     torch.manual_seed(0)
     head = config.build(2, 2, 1)
     optimizer = torch.optim.Adam(head.parameters(), lr=3e-3)
+    last = 0.0 if settle else 1.0
+    schedule = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, last, updates)
     rng = generator(1)
     for update in range(updates):
         head.updates = update
@@ -62,6 +67,7 @@ def taught_two_modes(config: HeadConfig, updates: int = 400) -> Head:
         loss, _ = head.loss(torch.ones(64, 2), chunk, torch.ones(64, 2, dtype=torch.bool), rng)
         loss.backward()
         optimizer.step()
+        schedule.step()
     return head
 
 
@@ -129,6 +135,9 @@ def test_a_likelihood_integrates_to_one_and_is_what_is_sampled(name: str, dimens
     assert float(density.sum()) * cell == pytest.approx(1.0, abs=1e-3)
     expected = (density[:, None] * grid.squeeze(-1)).sum(0) * cell
     torch.testing.assert_close(drawn.mean(0).double(), expected, atol=0.05, rtol=0)
+    squares = (density[:, None] * (grid.squeeze(-1) - expected).square()).sum(0) * cell
+    bin_share = {"logistic": 0.5**2 / 12, "autoregressive": 0.5**2 / 12}.get(name, 0.0)  # draws are bins' middles
+    torch.testing.assert_close(drawn.var(0).double(), squares - bin_share, atol=0.0, rtol=0.05)
 
 
 def test_a_masked_step_is_integrated_out() -> None:
@@ -155,6 +164,63 @@ def test_both_samplers_end_where_a_perfect_denoiser_points() -> None:
         head.denoiser = Oracle()
         clean = torch.randn(3, 4, generator=generator())
         torch.testing.assert_close(head.sample(clean, generator(1)).flatten(1), clean, atol=0.05, rtol=0)
+
+
+class KnowsTheGaussian(torch.nn.Module):
+    """The best guess of the clean chunk where the data is N(mean, spread^2): a line through what is seen.
+
+    Seen is x = sqrt(a) c + sqrt(1 - a) noise, so that E[c | x] = mean + g (x - sqrt(a) mean) with
+    g = sqrt(a) spread^2 / (a spread^2 + 1 - a).
+    """
+
+    def __init__(self, kept: torch.Tensor, mean: float, spread: float) -> None:
+        super().__init__()
+        self.kept, self.mean, self.spread = kept, mean, spread
+
+    def forward(self, noisy: torch.Tensor, time: torch.Tensor, features: torch.Tensor) -> torch.Tensor:
+        a = self.kept[time].unsqueeze(-1)
+        gain = a.sqrt() * self.spread**2 / (a * self.spread**2 + 1 - a)
+        return self.mean + gain * (noisy - a.sqrt() * self.mean)
+
+
+@pytest.mark.parametrize("sampler", ["ddim", "dpm"])
+def test_all_steps_of_a_sampler_bring_noise_to_the_gaussian_that_is_known(sampler: str) -> None:
+    """With the best denoiser of N(0.4, 0.3^2) the path without noise ends in c = 0.4 + 0.3 z of its first draw z.
+
+    Zero noise must end in the mean itself, which is where DDPM's mean path ends too; the spread of many draws
+    must be 0.3. The noisiest step keeps a little of the clean chunk, so z is seen up to some per cent.
+    """
+    mean, spread = 0.4, 0.3
+    head = DiffusionConfig(train_steps=200, sample_steps=200, sampler=sampler).build(4, 2, 1)  # type: ignore[arg-type]
+    kept = head.noiser.alphas_cumprod
+    head.denoiser = KnowsTheGaussian(kept, mean, spread)
+    features = torch.zeros(4000, 4)
+    with torch.no_grad():
+        drawn = head.sample(features, generator(1))
+        middle = head.mode(features[:1])
+        # DDPM's own mean path: the mean of q(x_{t-1} | x_t, c) at every step, from zero noise
+        path = torch.zeros(1, 2, 1)
+        for t in range(199, -1, -1):
+            before = kept[t - 1] if t else torch.tensor(1.0)
+            alpha = kept[t] / before
+            clean = head.denoiser(path.flatten(1).unsqueeze(0), torch.full((1, 1), t), features)[0].view(1, 2, 1)
+            path = (before.sqrt() * (1 - alpha) * clean + alpha.sqrt() * (1 - before) * path) / (1 - kept[t])
+    torch.testing.assert_close(middle, path, atol=0.01, rtol=0)
+    torch.testing.assert_close(middle, torch.full_like(middle, mean), atol=0.01, rtol=0)
+    assert drawn.mean().item() == pytest.approx(mean, abs=0.015)
+    assert drawn.std().item() == pytest.approx(spread, abs=0.015)
+    torch.testing.assert_close(
+        drawn, mean + spread * draw_noise(drawn.shape, generator(1), drawn.device), atol=0.06, rtol=0
+    )
+
+
+@pytest.mark.parametrize("name", ["diffusion", "flow"])
+def test_mode_weights_come_out_within_a_twentieth(name: str) -> None:
+    """A quarter of the data is at -1: of 4,000 draws 0.25 +- 0.007 (one standard deviation) are expected there."""
+    head = taught_two_modes(MULTIMODAL[name], updates=600, settle=True)
+    with torch.no_grad():
+        drawn = head.sample(torch.ones(4000, 2), generator(2)).squeeze(-1)
+    assert (drawn[:, 0] < 0).float().mean().item() == pytest.approx(0.25, abs=0.05)
 
 
 def test_guidance_extrapolates_from_without_to_with_the_goal() -> None:
