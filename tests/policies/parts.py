@@ -35,6 +35,7 @@ SMALL: dict[str, dict[str, Any]] = {
     "diffusion": {"width": 32, "blocks": 2, "sample_steps": 3},
     "autoregressive": {"bins": 16, "width": 16, "layers": 2, "heads": 2, "soft": 0.0},
     "cvae": {"hidden": 16, "latent": 4},
+    "fast": {"vocabulary": 300, "width": 16, "layers": 1, "heads": 2},
     "flow": {"width": 32, "blocks": 2, "sample_steps": 3},
     "gaussian": {"hidden": 16},
     "latent_plan": {"hidden": 16, "latent": 4},

@@ -8,6 +8,7 @@ from playlearn.policies.heads import (
     CVAEConfig,
     DeterministicConfig,
     DiffusionConfig,
+    FastConfig,
     FlowConfig,
     GaussianConfig,
     Guidance,
@@ -83,6 +84,7 @@ MULTIMODAL = {
     "mixture": MixtureConfig(components=3, hidden=32),
     "logistic": LogisticConfig(components=3, bins=32, hidden=32),
     "autoregressive": AutoregressiveConfig(bins=32, width=32, layers=1, soft=0.0),
+    "fast": FastConfig(vocabulary=300, width=32, layers=1),
     "autoregressive, a step at a time": AutoregressiveConfig(bins=32, order="step", width=32, layers=1, soft=0.0),
 }
 
@@ -274,6 +276,52 @@ def test_decoding_with_a_cache_is_decoding_without(order: str) -> None:
         tokens = head.tokens(head.mode(features))
         again = head._logits(features, tokens).argmax(-1)
     assert torch.equal(tokens, again)
+
+
+def smooth(count: int, steps: int, actions: int) -> torch.Tensor:
+    """Slow waves, of about unit spread."""
+    phase, speed = (torch.rand(count, 1, actions, generator=generator(seed)) for seed in (1, 2))
+    return 1.4 * torch.sin(6.3 * phase + 0.2 * speed * torch.arange(steps)[:, None])
+
+
+def test_a_sentence_is_the_chunk_to_its_rounding_and_shorter_than_its_numbers() -> None:
+    """A coefficient is at most half a step of 1 / 10 off, and the transform keeps lengths: sqrt(H A) / 20 in all.
+
+    Learned words make a smooth chunk of 16 x 3 numbers less than half as long; without them every number is a word.
+    """
+    head = FastConfig(width=8, layers=1, heads=1).build(4, 16, 3)
+    chunk = smooth(500, 16, 3)
+    assert head.sentences(chunk).shape == (500, 16 * 3 + 1)
+    head.fit(chunk)
+    said = head.sentences(chunk)
+    off = (head.numbers(said) - chunk).flatten(1).norm(dim=1)
+    assert off.max() <= (16 * 3) ** 0.5 / 20 + 1e-4
+    assert (said != head.end).sum(1).float().mean() < 16 * 3 / 2
+
+
+def test_a_sentence_that_says_too_little_or_too_much_still_is_a_chunk() -> None:
+    head = FastConfig(width=8, layers=1, heads=1).build(4, 4, 2)
+    zero = head.sentences(torch.zeros(1, 4, 2))[:, :1]
+    nothing, much = torch.full((1, 1), head.end), zero.repeat(1, 30)
+    for said in (nothing, much):
+        assert torch.equal(head.numbers(said), torch.zeros(1, 4, 2))
+
+
+def test_sentences_are_saved_with_the_weights_and_said_with_a_cache_as_without() -> None:
+    torch.manual_seed(1)
+    config = FastConfig(vocabulary=300, width=16, layers=2, heads=2)
+    head, other = config.build(4, 8, 2), config.build(4, 8, 2)
+    head.fit(smooth(200, 8, 2))
+    other.load_state_dict(head.state_dict())
+    features, words = torch.randn(5, 4, generator=generator()), []
+    heard = other.numbers
+    other.numbers = lambda said: (words.append(said), heard(said))[1]  # type: ignore[method-assign,func-returns-value]
+    with torch.no_grad():
+        assert torch.equal(other.mode(features), head.mode(features))
+        said = words[0]
+        before = torch.nn.functional.pad(other.told(said[:, :-1]), (0, 0, 1, 0))
+        hidden = other.enter(features).unsqueeze(1) + other.places[: said.shape[1]] + before
+        assert torch.equal(other.leave(other.decoder(hidden)).argmax(-1), said)
 
 
 def test_a_proposed_plan_is_one_that_was_recognised() -> None:

@@ -5,6 +5,7 @@ from playlearn.policies.heads.base import Generators, Guidance, Head, HeadConfig
 from playlearn.policies.heads.cvae import CVAEConfig
 from playlearn.policies.heads.deterministic import DeterministicConfig
 from playlearn.policies.heads.diffusion import DiffusionConfig
+from playlearn.policies.heads.fast import FastConfig
 from playlearn.policies.heads.flow import FlowConfig
 from playlearn.policies.heads.gaussian import GaussianConfig
 from playlearn.policies.heads.latent_plan import LatentPlanConfig
@@ -16,6 +17,7 @@ __all__ = [
     "CVAEConfig",
     "DeterministicConfig",
     "DiffusionConfig",
+    "FastConfig",
     "FlowConfig",
     "GaussianConfig",
     "Generators",

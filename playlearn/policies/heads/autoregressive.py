@@ -115,7 +115,7 @@ class AutoregressiveHead(Head):
         luck = torch.special.ndtr(normal).flatten(1)  # uniform in (0, 1): where in the cumulated shares the draw falls
 
         def choose(logits: Tensor, first: int) -> Tensor:
-            share = _top((logits / self.config.temperature).softmax(-1), self.config.top_p)
+            share = top((logits / self.config.temperature).softmax(-1), self.config.top_p)
             drawn = luck[:, first : first + logits.shape[1], None]
             below = share.cumsum(-1)
             # a draw beyond what rounding left of the sum falls into the last bin
@@ -133,7 +133,7 @@ class AutoregressiveHead(Head):
         given = self.enter(features if guidance is None else torch.cat([features, guidance.features]))
         if self.config.order == "parallel":
             logits = self._out(self._pass(given.unsqueeze(1) + self.places))
-            return self.numbers(choose(_guided(logits, guidance).flatten(1, 2), 0).view(count, steps, actions))
+            return self.numbers(choose(guided(logits, guidance).flatten(1, 2), 0).view(count, steps, actions))
         weights = self.leave.view(-1, self.unit * self.config.bins, self.config.width).unbind()  # by the turn
         words = self.words.weight.view(-1, self.unit, self.config.bins, self.config.width)
         told = [[table.contiguous() for table in turn] for turn in words]
@@ -143,7 +143,7 @@ class AutoregressiveHead(Head):
         for place, here in enumerate(self.places.unbind()):
             turn = place % len(weights)
             logits = functional.linear(turns.next(hidden + here), weights[turn])
-            logits = _guided(logits.view(len(given), self.unit, -1), guidance)
+            logits = guided(logits.view(len(given), self.unit, -1), guidance)
             tokens = choose(logits, place * self.unit)  # (B, unit)
             chosen.append(tokens)
             hidden = given
@@ -181,14 +181,14 @@ class AutoregressiveHead(Head):
         return (-0.5 * (off / self.config.soft).square()).softmax(-1)
 
 
-def _guided(logits: Tensor, guidance: Guidance | None) -> Tensor:
+def guided(logits: Tensor, guidance: Guidance | None) -> Tensor:
     """With guidance the batch holds every example twice: with its goal, then without."""
     if guidance is None:
         return logits
     return guidance.combine(*logits.chunk(2))
 
 
-def _top(share: Tensor, top_p: float) -> Tensor:
+def top(share: Tensor, top_p: float) -> Tensor:
     """Only the likeliest bins that together have `top_p` of all (nucleus sampling, Holtzman et al. 2020)."""
     if top_p >= 1:
         return share
