@@ -29,7 +29,7 @@ class LogisticConfig(HeadConfig):
     components: int = 5
     bins: int = 256
     hidden: int = 256
-    spread: tuple[float, float] = (0.01, 2.0)
+    spread: tuple[float, float] = (0.05, 2.0)
     temperature: float = 1.0
 
     def build(self, width: int, chunk: int, actions: int) -> MixtureHead:
