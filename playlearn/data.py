@@ -220,40 +220,16 @@ class PlayDataset:
         Step s of rank r takes places (s * ranks + r) * batch_size onwards of all epochs laid end to end,
         so that a resumed run goes on exactly where it stopped. Close the iterator to end the thread.
         """
-        ready: queue.Queue[Batch | BaseException] = queue.Queue(maxsize=2)
-        stop = threading.Event()
+        orders: dict[int, Indices] = {}
 
-        def hand(item: Batch | BaseException) -> None:
-            while not stop.is_set():
-                with suppress(queue.Full):
-                    ready.put(item, timeout=0.1)
-                    return
+        def make(step: int) -> Batch:
+            start = (step * ranks + rank) * batch_size
+            return self.at(np.arange(start, start + batch_size), orders)
 
-        def prepare() -> None:
-            orders: dict[int, Indices] = {}
-            step = start_step
-            try:
-                while not stop.is_set():
-                    hand(self._at((step * ranks + rank) * batch_size, batch_size, orders))
-                    step += 1
-            except BaseException as error:  # noqa: BLE001 - raised again where the batches are used
-                hand(error)
+        return prepared_ahead(make, start_step)
 
-        thread = threading.Thread(target=prepare, name="batches", daemon=True)
-        thread.start()
-        try:
-            while True:
-                item = ready.get()
-                if isinstance(item, BaseException):
-                    raise item
-                yield item
-        finally:
-            stop.set()
-            thread.join()
-
-    def _at(self, start: int, count: int, orders: dict[int, Indices]) -> Batch:
-        """The batch at places start ... start+count-1 of all epochs; `orders` keeps the current ones."""
-        places = np.arange(start, start + count)
+    def at(self, places: Indices, orders: dict[int, Indices]) -> Batch:
+        """The batch at ascending places of all epochs laid end to end; `orders` keeps the current ones."""
         epochs = places // len(self)
         for epoch in set(orders) - set(epochs.tolist()):
             del orders[epoch]
@@ -301,6 +277,39 @@ class PlayDataset:
         )
         weights = counts[kind.reshape(-1)] ** -float(self.config.balance)
         return np.asarray(np.cumsum(weights / weights.sum()), np.float64)
+
+
+def prepared_ahead(make: Callable[[int], Batch], start_step: int) -> Iterator[Batch]:
+    """make(start_step), make(start_step + 1), ... prepared in a thread that ends when the iterator is closed."""
+    ready: queue.Queue[Batch | BaseException] = queue.Queue(maxsize=2)
+    stop = threading.Event()
+
+    def hand(item: Batch | BaseException) -> None:
+        while not stop.is_set():
+            with suppress(queue.Full):
+                ready.put(item, timeout=0.1)
+                return
+
+    def prepare() -> None:
+        step = start_step
+        try:
+            while not stop.is_set():
+                hand(make(step))
+                step += 1
+        except BaseException as error:  # noqa: BLE001 - raised again where the batches are used
+            hand(error)
+
+    thread = threading.Thread(target=prepare, name="batches", daemon=True)
+    thread.start()
+    try:
+        while True:
+            item = ready.get()
+            if isinstance(item, BaseException):
+                raise item
+            yield item
+    finally:
+        stop.set()
+        thread.join()
 
 
 def statistics(dataset: PlayDataset) -> dict[str, Statistics]:

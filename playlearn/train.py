@@ -3,11 +3,10 @@
 import dataclasses
 import json
 import math
-import signal
 import threading
 import time
-from collections.abc import Generator, Iterator, Mapping
-from contextlib import closing, contextmanager
+from collections.abc import Generator, Mapping
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -21,6 +20,8 @@ from playlearn.config import atomic_write, git_revision, load_config, save_confi
 from playlearn.corrections import Corrections, CorrectionsConfig, make_corrections
 from playlearn.data import Batch, DataConfig, PlayDataset, statistics
 from playlearn.errors import UsageError
+from playlearn.executor import interruption_deferred
+from playlearn.mixed import Source, mix
 from playlearn.policies import Policy, PolicyConfig, PolicySpec
 from playlearn.policies.checkpoint import load_checkpoint, save_checkpoint
 from playlearn.policies.ema import averaged
@@ -38,6 +39,8 @@ class TrainConfig:
     store: the play. data: how examples are cut from it; its history, chunk, cameras and goal_names are the policy's.
     corrections: moments with the hand put aside and the way back as label, made before the first update and shown
     among the recorded ones (see CorrectionsConfig); null for none.
+    more: further play beside it, each store with its share of every batch. init: a run from whose policy training goes
+    on, its weights, normaliser and all; null for a fresh one.
     batch_size: examples an update and process. steps: updates, unless max_minutes of wall clock are over
     before; the learning rate then falls with whichever is further on, and a resumed run is no longer bit for
     bit an unbroken one. lr: peak learning rate, after `warmup` updates, then a cosine to zero.
@@ -51,6 +54,8 @@ class TrainConfig:
     data: DataConfig = field(default_factory=DataConfig)
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     corrections: CorrectionsConfig | None = None
+    more: tuple[Source, ...] = ()
+    init: Path | None = None
     batch_size: int = 256
     steps: int = 20_000
     max_minutes: float | None = None
@@ -81,15 +86,15 @@ class TrainConfig:
     def resolved(self) -> "TrainConfig":
         """With the fields of `data` that the policy decides."""
         encoder = self.policy.encoder
-        data = dataclasses.replace(
-            self.data,
-            history=self.policy.history,
-            chunk=self.policy.chunk,
-            cameras=encoder.observation_cameras,
-            goal_cameras=encoder.goal_cameras,
-            goal_names=encoder.goal_names,
-        )
-        return dataclasses.replace(self, data=data)
+        decided: dict[str, Any] = {
+            "history": self.policy.history,
+            "chunk": self.policy.chunk,
+            "cameras": encoder.observation_cameras,
+            "goal_cameras": encoder.goal_cameras,
+            "goal_names": encoder.goal_names,
+        }
+        more = [dataclasses.replace(m, data=dataclasses.replace(m.data or self.data, **decided)) for m in self.more]
+        return dataclasses.replace(self, data=dataclasses.replace(self.data, **decided), more=tuple(more))
 
 
 def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
@@ -113,7 +118,7 @@ def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
     elif run.accelerator.is_main_process:
         run.describe()
     run.correct()
-    with _interruption_deferred() as interrupted, Progress("train", 100.0, "%", 100 * run.progress()) as progress:
+    with interruption_deferred() as interrupted, Progress("train", 100.0, "%", 100 * run.progress()) as progress:
         run.loop(interrupted, progress)
 
 
@@ -139,8 +144,8 @@ class _Run:
             cameras={camera: (int(h), int(w)) for camera, (h, w) in store.cameras().items()},
             controller=store.meta(0).controller,
         )
-        policy = config.policy.build(self.spec, statistics(self.data), config.seed)
-        policy.fit(torch.as_tensor(self.data.action))
+        self.examples = mix(self.data, config.more, config.seed)
+        policy = self._begun()
         policy.to(self.accelerator.device)
         self.ema = averaged(policy, config.ema_decay)
         matrices = [parameter for parameter in policy.parameters() if parameter.ndim > 1]
@@ -152,6 +157,19 @@ class _Run:
         self.model, self.optimizer = self.accelerator.prepare(policy, optimizer)
         self.step, self.seconds = 0, 0.0
         self.began = self.step, self.seconds
+
+    def _begun(self) -> Policy:
+        """The policy as training finds it."""
+        config = self.config
+        if config.init is None:
+            policy = config.policy.build(self.spec, statistics(self.data), config.seed)
+            policy.fit(torch.as_tensor(self.data.action))
+            return policy
+        policy = Policy.load(config.init / "policy")
+        if policy.config != config.policy:
+            raise UsageError(f"init: the policy of {config.init} was built otherwise: give its own `policy` block")
+        policy.check(self.spec, self.spec.cameras)
+        return policy.train()
 
     def correct(self) -> None:
         """Make what corrections are asked for, and show them."""
@@ -170,7 +188,7 @@ class _Run:
         if config.tracker:
             accelerator.init_trackers("playlearn", config=_flat(to_dict(config)))
         rank, ranks = accelerator.process_index, accelerator.num_processes
-        batches = cast(Generator[Batch], self.data.batches(config.batch_size, self.step, rank, ranks))
+        batches = cast(Generator[Batch], self.examples.batches(config.batch_size, self.step, rank, ranks))
         window = _Window()
         with closing(batches):
             while not self.finished():
@@ -363,29 +381,3 @@ def _flat(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             flat[prefix + name] = value if isinstance(value, bool | int | float | str) else str(value)
     return flat
-
-
-@contextmanager
-def _interruption_deferred() -> Iterator[threading.Event]:
-    """Turn the first Ctrl-C into an event, so that no update is cut in half; the second one strikes as usual."""
-    asked = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield asked
-        return
-    kinds = (signal.SIGINT, signal.SIGTERM)
-    before = {kind: signal.getsignal(kind) for kind in kinds}
-
-    def restore() -> None:
-        for kind, handler in before.items():
-            signal.signal(kind, handler)
-
-    def ask(_number: int, _frame: object) -> None:
-        asked.set()
-        restore()
-
-    for kind in kinds:
-        signal.signal(kind, ask)
-    try:
-        yield asked
-    finally:
-        restore()

@@ -1,0 +1,110 @@
+"""Several datasets in one stream of batches, each with its share; as pure a function of (seed, step) as each is."""
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from playlearn.data import Batch, DataConfig, Indices, PlayDataset, prepared_ahead
+from playlearn.errors import UsageError
+from playlearn.store import Store, open_store
+
+
+@dataclass(frozen=True)
+class Source:
+    """More play beside a run's own: what DAgger's rounds gathered, for one.
+
+    share: of all examples shown. data: how examples are cut from it (null: as from the run's own play).
+    """
+
+    store: Path
+    share: float
+    data: DataConfig | None = None
+
+    def __post_init__(self) -> None:
+        """Raises UsageError where the share leaves nothing to one side."""
+        if not 0 < self.share < 1:
+            raise UsageError(f"share must lie between 0 and 1, both left out, got {self.share:g}")
+
+
+def mix(own: PlayDataset, sources: Sequence[Source], seed: int) -> "PlayDataset | Mixed":
+    """What a run is shown: its own play alone, or with the training part of further stores.
+
+    Raises:
+        UsageError: the shares leave nothing to the run's own play; a store's numbers or pictures mean something else.
+        StoreError: a store is missing, or holds nothing to learn from.
+    """
+    more = []
+    for number, source in enumerate(sources, 1):
+        store = open_store(source.store)
+        _check_same(own, store)
+        more.append(((source.data or own.config).build(store, "train", seed + number), source.share))
+    return Mixed(own, more) if more else own
+
+
+class Mixed:
+    """Datasets with shares, batches as `PlayDataset.batches` gives them.
+
+    Places of the common stream are dealt out evenly, not drawn: of any n places in a row a part gets its share
+    to within one or two, and walks through its own epochs at its own pace.
+    """
+
+    def __init__(self, own: PlayDataset, more: Sequence[tuple[PlayDataset, float]]) -> None:
+        """own: gets what the shares of the others leave.
+
+        Raises:
+            UsageError: they leave nothing.
+        """
+        shares = [share for _, share in more]
+        if sum(shares) >= 1:
+            raise UsageError(f"the shares of further play add up to {sum(shares):g}: leave some of 1 to the run's own")
+        self.parts = [*(part for part, _ in more), own]
+        left = 1.0 - np.concatenate([[0.0], np.cumsum(shares)])
+        self._of_rest = [share / rest for share, rest in zip(shares, left[:-1].tolist(), strict=True)]
+
+    def places(self, start: int, count: int) -> list[Indices]:
+        """For each part the places of its own stream that the common places start ... start+count-1 stand for."""
+        left, dealt = np.arange(start, start + count), []
+        for share in self._of_rest:
+            before, after = np.floor(left * share).astype(np.int64), np.floor((left + 1) * share).astype(np.int64)
+            mine = after > before
+            dealt.append(before[mine])
+            left = (left - after)[~mine]
+        return [*dealt, left]
+
+    def batches(self, batch_size: int, start_step: int = 0, rank: int = 0, ranks: int = 1) -> Iterator[Batch]:
+        """See `PlayDataset.batches`."""
+        orders: list[dict[int, Indices]] = [{} for _ in self.parts]
+
+        def make(step: int) -> Batch:
+            dealt = self.places((step * ranks + rank) * batch_size, batch_size)
+            return joined([p.at(at, order) for p, at, order in zip(self.parts, dealt, orders, strict=True) if len(at)])
+
+        return prepared_ahead(make, start_step)
+
+
+def joined(batches: Sequence[Batch]) -> Batch:
+    """One batch of all examples."""
+
+    def join(values: list[Any]) -> Any:
+        if isinstance(values[0], Mapping):
+            return {camera: torch.cat([value[camera] for value in values]) for camera in values[0]}
+        return torch.cat(values)
+
+    names = [entry.name for entry in dataclasses.fields(Batch)]
+    return Batch(**{name: join([getattr(batch, name) for batch in batches]) for name in names})
+
+
+def _check_same(own: PlayDataset, other: Store) -> None:
+    """Raises UsageError where an example of the other store would mean something else."""
+    mine, its = own.store.spec, other.spec
+    seen = (*own.config.cameras, *own.config.goal_cameras)
+    named = ("state_names", "achieved_names", "action_names", "fps")
+    apart = [name for name in named if getattr(mine, name) != getattr(its, name)]
+    apart += [f"size of {camera}" for camera in seen if own.store.cameras().get(camera) != other.cameras().get(camera)]
+    if apart:
+        raise UsageError(f"{other.name()} has another {', '.join(apart)} than {own.store.name()}: they cannot be mixed")
