@@ -1,15 +1,19 @@
 """Judge a policy on a suite of start states and goals, beside the expert and chance."""
 
 import playlearn.tasks  # noqa: F401  so that a suite can name any world
+from playlearn.evaluate.chains import ChainsConfig
 from playlearn.evaluate.contenders import Contender, Expert, Random, Trained
+from playlearn.evaluate.far import FarConfig
 from playlearn.evaluate.heldout import HeldoutConfig
 from playlearn.evaluate.job import evaluate
 from playlearn.evaluate.suite import Setup, SuiteConfig, SuiteKind, load_suite
 from playlearn.evaluate.tasks import TasksConfig
 
 __all__ = [
+    "ChainsConfig",
     "Contender",
     "Expert",
+    "FarConfig",
     "HeldoutConfig",
     "Random",
     "Setup",

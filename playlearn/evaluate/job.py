@@ -12,7 +12,7 @@ from playlearn.config.schema import nearest
 from playlearn.errors import PlaylearnError, UsageError
 from playlearn.evaluate.cohort import Attempt, Track, draw_track, lost, run_cohort
 from playlearn.evaluate.contenders import Contender, Expert, Random, Trained
-from playlearn.evaluate.results import by_policy, curve, parquet, summary, to_film, to_show
+from playlearn.evaluate.results import by_policy, curve, ends, parquet, summary, to_film, to_show
 from playlearn.evaluate.suite import SuiteConfig, load_suite
 from playlearn.executor import Executor, Job, LocalExecutorConfig, LostError
 from playlearn.report.page import Shown, page
@@ -68,7 +68,7 @@ def evaluate(
         if gathered.spec is None:
             raise PlaylearnError(f"every worker was lost; the last: {gathered.attempts[-1].reason}")
         grouped = by_policy(gathered.attempts)
-        shown, note = _pictures(config, grouped[main], gathered.tracks, executor)
+        shown, note = _pictures(config, ends(grouped[main]), gathered.tracks, executor)
     results = {
         "suite": config.name,
         "goal_modality": goal,
@@ -84,7 +84,8 @@ def evaluate(
         "config": to_dict(config),
         "seconds": round(time.perf_counter() - started, 3),
     }
-    curves = {name: curve(grouped[name], config.max_steps) for name in grouped}
+    longest = max(config.max_steps, *(attempt.steps for attempt in gathered.attempts))
+    curves = {name: curve(grouped[name], longest) for name in grouped}
     atomic_write(out / "episodes.parquet", parquet([attempt for rows in grouped.values() for attempt in rows]))
     atomic_write(out / "report.html", page(results, curves, gathered.spec.fps, shown, note).encode())
     atomic_write(out / "results.json", json.dumps(results, indent=2).encode())
@@ -124,7 +125,7 @@ def _attempt(config: SuiteConfig, contenders: Sequence[Contender], expert: Exper
                 gathered.attempts += [lost(e, c.name, f"crashed: {result.error}") for e in cohort for c in contenders]
             else:
                 raise result.error  # it could not even be set up: there is nothing to judge
-            main = [attempt for attempt in gathered.attempts if attempt.policy == contenders[0].name]
+            main = ends([attempt for attempt in gathered.attempts if attempt.policy == contenders[0].name])
             keep = {attempt.episode for attempt in to_show(main, SHOWN_SUCCESSES, SHOWN_FAILURES)}
             gathered.tracks = {episode: track for episode, track in gathered.tracks.items() if episode in keep}
             progress.to(len(main))

@@ -1,6 +1,7 @@
 """From attempts to `results.json`, `episodes.parquet` and the report's curves and pictures."""
 
 import io
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from typing import Any
@@ -15,17 +16,50 @@ CRASHED = "crashed"
 
 
 def summary(attempts: Sequence[Attempt]) -> dict[str, Any]:
-    """Rates and intervals of one contender, over all and by task.
+    """Rates and intervals of one contender, over all episodes and by task.
 
+    An episode of several goals is a success when the last of them is; by task each goal that was attempted counts.
     `crashed` counts failures of the machinery, each of which is among the failures too.
     """
-    return _rates(attempts) | {
+    rates = _rates(ends(attempts)) | {
         "crashed": sum(attempt.reason.startswith(CRASHED) for attempt in attempts),
         "steps_to_success": _mean([attempt.steps for attempt in attempts if attempt.success]),
         "tasks": {
             task: _rates([attempt for attempt in attempts if attempt.task == task])
             for task in sorted({attempt.task for attempt in attempts})
         },
+    }
+    return rates | ({"chain": chain(attempts)} if any(attempt.links > 1 for attempt in attempts) else {})
+
+
+def ends(attempts: Sequence[Attempt]) -> list[Attempt]:
+    """Each episode's last attempt, by episode: of several goals in a row the one that was not reached, if any."""
+    last = {attempt.episode: attempt for attempt in sorted(attempts, key=lambda one: (one.episode, one.link))}
+    return list(last.values())
+
+
+def chain(attempts: Sequence[Attempt]) -> dict[str, Any]:
+    """How many goals in a row one contender reached.
+
+    length_mean: of the chains, the goals reached before the first that was not. Its interval is Wilson's for a share
+    length_mean / links: a quantity in [0, 1] varies no more than a coin of the same mean, so it is rather too wide.
+    at_least: the share of chains in which 1, 2, ... were reached. already: the share of the reached goals that were
+    there before anything was done. ended_by: at which tasks chains ended, the most frequent first.
+    """
+    last = ends(attempts)
+    links, count = max(attempt.links for attempt in attempts), len(last)
+    lengths = [attempt.link + attempt.success for attempt in last]
+    low, high = wilson(sum(lengths) / links, count)
+    reaching = [sum(length >= k for length in lengths) for k in range(1, links + 1)]
+    reached = [attempt for attempt in attempts if attempt.success]
+    return {
+        "links": links,
+        "length_mean": sum(lengths) / count,
+        "length_ci95": [links * low, links * high],
+        "at_least": [number / count for number in reaching],
+        "at_least_ci95": [list(wilson(number, count)) for number in reaching],
+        "already": sum(attempt.already for attempt in reached) / max(1, len(reached)),
+        "ended_by": dict(Counter(attempt.task for attempt in last if not attempt.success).most_common()),
     }
 
 
@@ -46,7 +80,7 @@ def _mean(values: Sequence[int]) -> float | None:
 
 
 def curve(attempts: Sequence[Attempt], max_steps: int) -> list[float]:
-    """(max_steps + 1,) the share of attempts that had succeeded by each step."""
+    """(max_steps + 1,) the share of attempts, each at one goal, that had succeeded by each step."""
     count = max(1, len(attempts))
     return [sum(a.success and a.steps <= step for a in attempts) / count for step in range(max_steps + 1)]
 

@@ -17,11 +17,22 @@ Judge = Callable[[Array, Array, Array], bool]
 
 
 @dataclass(frozen=True, eq=False)
+class Link:
+    """One goal, and the task it is judged as. goal_state: (N,) float64; goal: what the policy is shown of it."""
+
+    task: str
+    goal: Goal
+    goal_state: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Setup:
     """One episode to be attempted.
 
     start, goal_state: (N,) float64 simulator states. goal: what the policy is shown of the latter.
     redraws: how many draws were thrown away before this one. seed: the attempting actor's randomness.
+    then: goals that follow without a reset, each once the one before it is reached. made_by: what the expert did
+    for the goal, where the task's name does not say. max_steps: the budget of each goal (None: the suite's).
     """
 
     episode: int
@@ -32,6 +43,14 @@ class Setup:
     goal_state: Array
     seed: int
     redraws: int = 0
+    then: tuple[Link, ...] = ()
+    made_by: str = ""
+    max_steps: int | None = None
+
+    @property
+    def links(self) -> tuple[Link, ...]:
+        """All goals in their order."""
+        return (Link(self.task, self.goal, self.goal_state), *self.then)
 
 
 @dataclass(frozen=True)
@@ -68,7 +87,7 @@ class SuiteConfig:
     """What an evaluation repeats exactly whenever it is run.
 
     environment: the world. kind: where starts and goals come from. episodes: in all, spread evenly
-    over the tasks. max_steps: the budget of an episode. hold: for how many consecutive steps the
+    over the tasks. max_steps: the budget of a goal. hold: for how many consecutive steps the
     judge must be content. cohort: how many episodes are stepped together (and planned for in one batch).
     execute, guidance: how a trained policy acts (null: as is usual for it). picture: height of the
     report's pictures in pixels, as seen through `camera`.

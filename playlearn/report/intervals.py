@@ -5,7 +5,7 @@ import math
 Z95 = 1.959963984540054
 
 
-def wilson(successes: int, trials: int, z: float = Z95) -> tuple[float, float]:
+def wilson(successes: float, trials: int, z: float = Z95) -> tuple[float, float]:
     """The score interval of a share (Wilson 1927); unlike the textbook one it is right near 0 and 1.
 
     Without trials nothing is known: (0, 1).

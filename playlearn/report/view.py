@@ -66,7 +66,10 @@ def view_results(folder: Path, *, save: Path | None = None) -> Path | None:
         raise UsageError(
             f"{folder} is not an evaluation ({error}): give the --out folder of `playlearn eval`"
         ) from error
-    rows = sorted((row for row in rows if row["policy"] == policy), key=lambda row: int(row["episode"]))
+    rows = sorted(
+        (row for row in rows if row["policy"] == policy), key=lambda row: (row["episode"], row.get("link", 0))
+    )
+    rows = list({row["episode"]: row for row in rows}.values())  # of several goals in a row the last attempted
     pictures = _pictures(folder / "report.html")
     layout = rrb.Vertical(
         rrb.Horizontal(*(rrb.Spatial2DView(origin=f"pictures/{still}", name=still) for still in STILLS)),
