@@ -46,8 +46,8 @@ class ForkConfig(HeadsConfig, Experiment):
                     "coverage": float(min(left, 1 - left) / min(self.left, 1 - self.left)) if valid.any() else 0.0,
                     "mode_valid": float(mode.mean()),
                     **cost,
-                    "ways": ways[:: max(1, len(ways) // SHOWN)].round(3).tolist(),
-                    "discs": disc[:: max(1, len(ways) // SHOWN), 0].tolist(),
+                    "ways": ways[:: max(1, len(ways) // SHOWN)].astype(float).round(3).tolist(),
+                    "discs": disc[:: max(1, len(ways) // SHOWN), 0].double().numpy().round(4).tolist(),
                 }
             )
         return rows
