@@ -230,7 +230,12 @@ def _worlds(key: str, count: int) -> list[Environment]:
     return [first, *(first.clone() for _ in range(count - 1))]
 
 
+def world_of(suite: SuiteConfig) -> Environment:
+    """The first of this process's worlds; in any state."""
+    return _worlds(_key(suite.environment), suite.cohort)[0]
+
+
 def draw_track(suite: SuiteConfig, track: Track, film: bool) -> Pictures:
     """Pictures of an attempt, drawn by the worker that this runs in."""
-    world = _worlds(_key(suite.environment), suite.cohort)[0]
+    world = world_of(suite)
     return draw(world, track.states, track.goal_state, suite.camera, suite.picture, film=film)
