@@ -99,7 +99,7 @@ class Trained:
     def cameras(self) -> tuple[str, ...]:
         return load_policy(self.run / "policy").cameras
 
-    def build(self, environment: Environment) -> Actor:
+    def build(self, environment: Environment) -> PolicyActor:
         policy = load_policy(self.run / "policy")
         missing = [camera for camera in policy.cameras if camera not in environment.spec.cameras]
         seen = {} if missing else environment.observe(policy.cameras).images

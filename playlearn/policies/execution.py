@@ -111,6 +111,17 @@ class PolicyActor:
             self._plan(due)
         return [Decision(action=self._action(row)) for row in self._rows]
 
+    def spread(self, samples: int, generators: Sequence[torch.Generator]) -> Array:
+        """(K,) how far chunks sampled for what was last seen lie apart: how little the policy knows what to do.
+
+        The standard deviation over `samples` of them, the mean over what would be executed; 0 for a head that is
+        sure of itself by construction. generators: one an environment, apart from those that it acts by.
+        """
+        inputs = self._inputs()
+        chunks = np.stack([self.policy.act(inputs, generators, self.guidance).numpy() for _ in range(samples)])
+        spread: Array = chunks[:, :, : self.execute].std(axis=0).mean(axis=(1, 2))  # (K,)
+        return spread
+
     def _plan(self, due: list[_Row]) -> None:
         # a row that is not due must not draw noise from its own generator
         spare = torch.Generator()

@@ -1,6 +1,7 @@
 """Which later moment becomes the goal: index arithmetic only, one file a strategy."""
 
 from playlearn.relabel.base import UNIFORMS, GoalSampler, GoalSamplerConfig
+from playlearn.relabel.ending import EndingConfig
 from playlearn.relabel.episode import EpisodeConfig
 from playlearn.relabel.failures import leads_to_failure
 from playlearn.relabel.final import FinalConfig
@@ -16,6 +17,7 @@ from playlearn.relabel.uniform import FutureConfig, UniformConfig
 
 __all__ = [
     "UNIFORMS",
+    "EndingConfig",
     "EpisodeConfig",
     "FinalConfig",
     "FixedConfig",

@@ -10,6 +10,7 @@ from scipy.stats import chi2
 from playlearn.errors import UsageError
 from playlearn.relabel import (
     UNIFORMS,
+    EndingConfig,
     EpisodeConfig,
     FinalConfig,
     FixedConfig,
@@ -288,3 +289,17 @@ def test_mixture_goes_on_with_those_that_can() -> None:
 def test_a_setting_out_of_range_is_named(config: GoalSamplerConfig, field: str) -> None:
     with pytest.raises(UsageError, match=field):
         config.build()
+
+
+def test_ending_is_any_moment_of_what_lasts_until_the_end() -> None:
+    """At rest from 5 on, moved between 20 and 25, at rest until 60: any goal in 25 + the rest's seconds ... 60."""
+    x = np.interp(np.arange(61), [0, 20, 25, 60], [0.0, 0.0, 0.1, 0.1])
+    settling = SettlingConfig(change={"default": 0.015}, rest={"default": 0.004}, rest_seconds=0.3)
+    table = Table.build([x[:, None], x[:24, None]], ("x",), FPS, settling)
+    moment = int(table.moments[0])
+    assert 25 <= moment <= 25 + settling.window(FPS)
+    goals = np.concatenate([_drawn(EndingConfig(), table, seed)[2] for seed in range(40)])
+    episodes, t, _ = _drawn(EndingConfig(), table)
+    whole, rest = np.tile(episodes == 0, 40), np.tile(t, 40)
+    assert set(goals[whole & (rest < moment)].tolist()) == set(range(moment, 61))
+    assert (goals[~whole] == 23).all(), "still on the way when the recording ended: its last observation"

@@ -1,0 +1,97 @@
+"""Policy and expert at one hand: who acts is drawn or gated, what the expert would do is always the label."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from playlearn.dagger.gate import Drift, Gate, GateConfig
+from playlearn.episode import Array, Decision, Goal, Observation
+from playlearn.rollout import Actor
+
+Spread = Callable[[int, Sequence[torch.Generator]], Array]
+
+
+@dataclass(frozen=True)
+class Sharing:
+    """Who acts when.
+
+    beta: probability that a stretch of `stretch` steps is the expert's. gate: when it takes over besides.
+    steps: the range from which it is drawn, for each environment, after how many steps the expert takes over to
+    bring the episode to its goal. plans: every so many steps the policy plans anew; only there it is given the hand
+    back, so that it never goes on with a plan made before somebody else acted.
+    """
+
+    beta: float
+    stretch: int
+    gate: GateConfig
+    steps: tuple[int, int]
+    plans: int = 1
+
+
+@dataclass(eq=False)
+class _Row:
+    """One environment's. until: the step at which the expert takes over for good."""
+
+    rng: np.random.Generator
+    sampling: torch.Generator
+    gate: Gate
+    until: int
+    drawn: bool = False
+    driven: bool = False
+
+    def drives(self, step: int, drift: Drift, sharing: Sharing) -> bool:
+        """Whether the expert acts at this step."""
+        if step % sharing.stretch == 0:
+            self.drawn = bool(self.rng.random() < sharing.beta)
+        wanted = self.gate(drift) or self.drawn or step >= self.until
+        self.driven = wanted or (self.driven and step % sharing.plans != 0)
+        return self.driven
+
+
+class Mixed:
+    """An Actor that asks both of its own; everything it draws for an environment comes from that one's seed."""
+
+    name = "dagger"
+
+    def __init__(self, policy: Actor, expert: Actor, sharing: Sharing, spread: Spread | None = None) -> None:
+        """spread: see `PolicyActor.spread`; for gates that ask how sure the policy is."""
+        self._policy, self._expert, self._sharing, self._spread = policy, expert, sharing, spread
+        self.cameras = tuple(dict.fromkeys((*policy.cameras, *expert.cameras)))
+        self._rows: list[_Row] = []
+        self._step = 0
+        self._spreads: Array = np.zeros(0)
+
+    def reset(self, goals: Sequence[Goal | None], seeds: Sequence[int]) -> None:
+        self._policy.reset(goals, seeds)
+        self._expert.reset(goals, seeds)
+        self._rows, self._step, self._spreads = [self._row(seed) for seed in seeds], 0, np.zeros(len(seeds))
+
+    def act(self, observations: Sequence[Observation], active: Sequence[bool]) -> list[Decision]:
+        chosen, labels = self._policy.act(observations, active), self._expert.act(observations, active)
+        if self._sharing.gate.sampled and self._step % self._sharing.plans == 0:
+            self._spreads = self._measured()
+        decisions = []
+        for row, mine, its, spread in zip(self._rows, chosen, labels, self._spreads, strict=True):
+            label = np.asarray(its.action, np.float32)
+            drift = Drift(float(np.abs(np.asarray(mine.action) - label).max()), float(spread))
+            driven = row.drives(self._step, drift, self._sharing)
+            decisions.append(Decision(label if driven else mine.action, label, its.skill, intervention=driven))
+        self._step += 1
+        return decisions
+
+    def unsure(self) -> bool:
+        """Whether the policy's samples differed at all where they were last compared."""
+        return bool(self._spreads.any())
+
+    def _row(self, seed: int) -> _Row:
+        rng = np.random.default_rng((seed, 1))  # not the numbers that policy and expert have from this seed
+        until = int(rng.integers(*self._sharing.steps, endpoint=True))
+        sampling = torch.Generator().manual_seed(int(rng.integers(2**63)))
+        return _Row(rng, sampling, self._sharing.gate.build(), until)
+
+    def _measured(self) -> Array:
+        if self._spread is None:
+            raise ValueError("a gate that asks how sure the policy is needs `spread`")
+        return self._spread(self._sharing.gate.sampled, [row.sampling for row in self._rows])

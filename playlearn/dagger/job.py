@@ -1,0 +1,308 @@
+"""`playlearn dagger`: rounds of practice, training and evaluation, each done once.
+
+OUT/dagger.yaml, dagger.json        what is run, from which policy
+OUT/rounds/N/play/                  the round's own store; practice/: how each episode went
+OUT/rounds/N/train/                 a training run that begins with the last round's policy
+OUT/rounds/N/eval/                  a report like that of `playlearn eval`
+OUT/rounds/N/round.json             its row, written last: a round without one is done again from where it stopped
+OUT/results.json, plot.png          all rows
+OUT/config.yaml, policy/            the last round's, so that OUT is a run like any other
+"""
+
+import json
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from playlearn.collect import CollectConfig
+from playlearn.collect.world import world
+from playlearn.config import atomic_write, git_revision, load_config, save_config, to_dict, versions
+from playlearn.dagger.actor import Sharing
+from playlearn.dagger.config import ADJUSTABLE, DaggerConfig
+from playlearn.dagger.control import play_on, player
+from playlearn.dagger.practise import Make, Practice, mixed, practise
+from playlearn.dagger.results import judged, line, plot, practised
+from playlearn.data import DataConfig
+from playlearn.errors import PlaylearnError, UsageError
+from playlearn.evaluate import Trained, evaluate, load_suite
+from playlearn.evaluate.suite import derived_seed, goal_from
+from playlearn.mixed import Source
+from playlearn.policies import Policy
+from playlearn.store import open_store
+from playlearn.train import TrainConfig, train
+
+CONFIG, NOTE, ROW = "dagger.yaml", "dagger.json", "round.json"
+_PRACTICE, _CONTROL, _TRAINING = 0xDA66E4, 0xC0472A1, 0x7E57ED  # so that no seed serves two ends
+
+
+def dagger(
+    config: DaggerConfig,
+    run: Path,
+    out: Path,
+    *,
+    workers: int | None = None,
+    resume: bool = False,
+    expert: Make | None = None,
+) -> dict[str, Any]:
+    """Make the policy of `run` better in rounds; see the drawing above. expert: by default that of the environment.
+
+    Returns what results.json says.
+
+    Raises:
+        UsageError: a setting does not fit the run; `out` is taken or, with `resume`, was begun otherwise.
+        CheckpointError: there is no such run, or the suites are not of its world.
+        PlaylearnError: the expert brought no episode of a round to its goal.
+    """
+    job = _Job(config, run, out, workers, expert or _expert_of_the_environment())
+    job.check()
+    _claim(config, run, out, resume=resume)
+    rows = [job.start()]
+    for number in range(1, config.rounds + 1):
+        rows.append(job.round(number, rows))
+        results = job.write(rows)
+    return results
+
+
+@dataclass(eq=False)
+class _Job:
+    """Everything that the rounds share."""
+
+    config: DaggerConfig
+    run: Path
+    out: Path
+    workers: int | None
+    expert: Make
+
+    def __post_init__(self) -> None:
+        """Reads what is said of the run and the suites; nothing is simulated."""
+        config, path = self.config, self.run / "config.yaml"
+        if not path.is_file():
+            raise UsageError(f"there is no run at {self.run} (no config.yaml); make one with: playlearn train")
+        self.training = load_config(TrainConfig, path)
+        self.suite = load_suite(config.practice)
+        self.suite = replace(self.suite, kind=self.suite.kind.prepare(None))
+        self.seed = derived_seed(_PRACTICE, config.seed)
+        judging = load_suite(config.suite or config.practice)
+        self.judged_seed = judging.seed if config.judged_seed is None else config.judged_seed
+        self.matched = _frames(config)
+
+    def check(self) -> None:
+        """What can go wrong later is found now, in one world, before anything is written.
+
+        Raises:
+            PlaylearnError: policy, expert, play and suite do not belong together.
+        """
+        if self.seed == self.judged_seed:
+            raise UsageError(
+                f"judged_seed {self.judged_seed} is the seed of this practice: what is judged would have been "
+                "practised; give another judged_seed"
+            )
+        open_store(self.training.store)
+        policy = self.trained(self.run)
+        policy.check()
+        environment = world(self.suite.environment)
+        actor = mixed(self.practice(1, self.run), environment)
+        self.expert(environment)  # where nobody can drive this world, that is said here
+        if self.matched is not None:
+            self.playing()
+        asked = self.config.gate.sampled
+        if asked:
+            environment.reset(0)
+            actor.reset([goal_from(environment, policy.cameras())], [0])
+            actor.act([environment.observe(actor.cameras)], [True])
+            if not actor.unsure():
+                raise UsageError(
+                    f"gate: the policy of {self.run} samples the same chunk again and again, so that it is never "
+                    "uncertain; use `gate.type: distance`, or train a head that has a spread"
+                )
+
+    def start(self) -> dict[str, Any]:
+        """Row 0: the policy that all begins with."""
+        folder = self.out / "rounds" / "0"
+        if (folder / ROW).is_file():
+            return _read(folder / ROW)
+        return self.done(folder, {"round": 0, **judged(self.evaluate(self.run, folder / "eval"))})
+
+    def round(self, number: int, before: list[dict[str, Any]]) -> dict[str, Any]:
+        """Row `number`; `before`: those of the rounds before it."""
+        folder = self.out / "rounds" / str(number)
+        if (folder / ROW).is_file():
+            return _read(folder / ROW)
+        folder.mkdir(parents=True, exist_ok=True)
+        began, last = time.perf_counter(), self.run if number == 1 else self.out / "rounds" / str(number - 1) / "train"
+        row = {"round": number, "beta": self.config.beta.at(number), **self.gather(number, last, folder)}
+        if not row["frames"]:
+            raise PlaylearnError(
+                f"round {number}: the expert brought none of {row['attempted']} episodes to its goal "
+                f"({row['thrown_away']}); raise finish_steps, or practise on a suite that it can do"
+            )
+        gathered = {past["round"]: past["frames"] for past in [*before, row] if past["round"]}
+        train(
+            self.trained_on(number, gathered, last), folder / "train", resume=(folder / "train/config.yaml").is_file()
+        )
+        row |= judged(self.evaluate(folder / "train", folder / "eval"))
+        return self.done(folder, {**row, "seconds": round(time.perf_counter() - began, 1)})
+
+    def gather(self, number: int, last: Path, folder: Path) -> dict[str, Any]:
+        """New steps to learn from, in the folder's store; what the row says of them."""
+        config = self.config
+        if self.matched is not None:
+            seed = derived_seed(_CONTROL, config.seed, number)
+            frames = play_on(self.playing(), self.matched[number - 1], seed, folder / "play", self.workers)
+            return {"attempted": 0, "kept": 0, "alone": 0, "frames": frames, "labels": 0, "driven": 0}
+        numbers = range((number - 1) * config.episodes, number * config.episodes)
+        return practised(
+            practise(self.practice(number, last), numbers, folder, self.workers, f"round {number}, practice")
+        )
+
+    def practice(self, number: int, last: Path) -> Practice:
+        """What the workers of a round are told."""
+        config = self.config
+        sharing = Sharing(config.beta.at(number), config.stretch, config.gate, config.policy_steps)
+        return Practice(
+            self.suite, self.trained(last), self.expert, sharing, self.seed, config.finish_steps, config.settle
+        )
+
+    def playing(self) -> CollectConfig:
+        """How a control plays."""
+        return player(self.config, self.training.store, self.suite, self.trained(self.run).cameras())
+
+    def trained(self, run: Path) -> Trained:
+        """The policy of a run as it practises."""
+        config, suite = self.config, self.suite
+        execute = suite.execute if config.execute is None else config.execute
+        guidance = suite.guidance if config.guidance is None else config.guidance
+        return Trained(run, config.goal, execute, guidance)
+
+    def trained_on(self, number: int, gathered: Mapping[int, int], last: Path) -> TrainConfig:
+        """The training of a round: the run's own, from the last policy on. gathered: round -> steps of its store."""
+        config, own = self.config, self.training.resolved()
+        total = sum(gathered.values())
+        more = tuple(
+            Source(self.out / "rounds" / str(past) / "play", config.share * steps / total, self.cut(own.data))
+            for past, steps in gathered.items()
+        )
+        corrections = own.corrections
+        if corrections is not None:  # made once, for the run
+            corrections = replace(corrections, folder=corrections.folder or self.run / "corrections")
+        return replace(
+            own,
+            policy=Policy.load(self.run / "policy").config,
+            corrections=corrections,
+            more=more,
+            init=last,
+            steps=config.updates,
+            max_minutes=None,
+            lr=config.lr,
+            warmup=config.warmup,
+            heldout_every=config.updates,
+            seed=derived_seed(_TRAINING, config.seed, number),
+            cpu=config.cpu,
+        )
+
+    def cut(self, own: DataConfig) -> DataConfig:
+        """How examples are cut from what was gathered: all of it, and practice as its labels ask."""
+        if self.matched is not None:
+            return replace(own, heldout_share=0.0)
+        config = self.config
+        return replace(
+            own,
+            goals=config.goals,
+            stray=config.stray,
+            heldout_share=0.0,
+            balance=0.0,
+            failures=1.0,
+            mask_after_goal=False,
+        )
+
+    def evaluate(self, run: Path, out: Path) -> dict[str, Any]:
+        """Judge a policy: the same episodes for every round."""
+        config = self.config
+        given = {"execute": config.execute, "guidance": config.guidance}
+        return evaluate(
+            config.suite or config.practice,
+            run=run,
+            goal=config.goal,
+            out=out,
+            episodes=config.judged,
+            seed=self.judged_seed,
+            workers=self.workers,
+            references=False,
+            overrides=[f"--{name}={value}" for name, value in given.items() if value is not None],
+            expert=self.expert,
+        )
+
+    def done(self, folder: Path, row: dict[str, Any]) -> dict[str, Any]:
+        """Write the row down: from now on the round is done."""
+        folder.mkdir(parents=True, exist_ok=True)
+        atomic_write(folder / ROW, json.dumps(row, indent=1).encode())
+        print(line(row), file=sys.stderr, flush=True)
+        return row
+
+    def write(self, rows: list[dict[str, Any]]) -> dict[str, Any]:
+        """All rows, and the last round's policy as that of `out`. Returns what results.json says."""
+        last = self.out / "rounds" / str(rows[-1]["round"]) / "train"
+        Policy.load(last / "policy").save(self.out / "policy")
+        atomic_write(self.out / "config.yaml", (last / "config.yaml").read_bytes())
+        results = {
+            "rounds": rows,
+            "start": str(self.run),
+            "judged_seed": self.judged_seed,
+            "practice_seed": self.seed,
+            "config": to_dict(self.config),
+            "versions": versions(),
+            "git_revision": git_revision(),
+        }
+        atomic_write(self.out / "results.json", json.dumps(results, indent=1).encode())
+        plot(rows, self.out / "plot.png")
+        return results
+
+
+def _frames(config: DaggerConfig) -> list[int] | None:
+    """How many steps a control adds in each round, None where this is none."""
+    if config.like is None:
+        return None
+    path = config.like / "results.json"
+    if not path.is_file():
+        raise UsageError(f"like: there is no DAgger run at {config.like} (no results.json)")
+    frames = [int(row["frames"]) for row in _read(path)["rounds"] if row["round"]]
+    if len(frames) < config.rounds:
+        raise UsageError(f"like: {config.like} has {len(frames)} rounds, this control is to have {config.rounds}")
+    return frames
+
+
+def _claim(config: DaggerConfig, run: Path, out: Path, *, resume: bool) -> None:
+    """Make `out` this job's; raises UsageError where it is something else's."""
+    written = out / CONFIG
+    if written.is_file():
+        if not resume:
+            raise UsageError(f"{out} is there already: choose another --out, or go on with it by --resume")
+        before, now = yaml.safe_load(written.read_text()), to_dict(config)
+        apart = [name for name in now if name not in ADJUSTABLE and before.get(name) != now[name]]
+        if _read(out / NOTE)["run"] != str(run):
+            apart.append("run")
+        if apart:
+            raise UsageError(f"{out} was begun with another {', '.join(apart)}: give the same, or another --out")
+    elif out.exists() and (not out.is_dir() or any(path.name != NOTE for path in out.iterdir())):
+        raise UsageError(f"{out} is there already and is no DAgger run: choose another --out")
+    elif resume:
+        raise UsageError(f"there is no DAgger run at {out} to resume; start it without --resume")
+    out.mkdir(parents=True, exist_ok=True)
+    atomic_write(out / NOTE, json.dumps({"run": str(run)}).encode())
+    save_config(config, written)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    value: dict[str, Any] = json.loads(path.read_text())
+    return value
+
+
+def _expert_of_the_environment() -> Make:
+    from playlearn.teleop import expert_for
+
+    return expert_for

@@ -1,0 +1,411 @@
+"""Laws of DAgger, in a world in which everything takes milliseconds."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from playlearn.collect import CollectConfig
+from playlearn.config import from_dict, load_config, save_config
+from playlearn.dagger import DaggerConfig, dagger
+from playlearn.dagger import job as module
+from playlearn.dagger import practise as practising
+from playlearn.dagger.actor import Mixed, Sharing
+from playlearn.dagger.gate import DistanceConfig, Drift, Gate, GateConfig, NoGateConfig, UncertaintyConfig
+from playlearn.dagger.practise import Practice, practise
+from playlearn.dagger.schedule import BetaConfig, ConstantConfig, ExponentialConfig, LinearConfig, ZeroConfig
+from playlearn.data import DataConfig
+from playlearn.episode import Array, Decision, Episode, Goal, Observation
+from playlearn.errors import CheckpointError, PlaylearnError, UsageError
+from playlearn.evaluate import Trained
+from playlearn.policies import Policy, PolicyConfig
+from playlearn.policies.execution import PolicyActor
+from playlearn.policies.heads import DiffusionConfig
+from playlearn.relabel.ending import EndingConfig
+from playlearn.rollout import RandomActor, rollout
+from playlearn.store import NativeStore
+from playlearn.tasks import PlayTableConfig
+from playlearn.teleop import PlayConfig
+from playlearn.train import TrainConfig, train
+from tests.fakes import PointConfig, PointExpert, PointPlayer, PointWorld, point_expert
+from tests.test_evaluate import SUITE, play, spec
+
+torch.set_num_threads(1)
+CONFIGS = sorted((Path(__file__).parents[1] / "configs" / "dagger").glob("*.yaml"))
+GOAL = np.array([0.5, -0.5, 0.0], np.float32)
+SHARING = Sharing(beta=0.0, stretch=4, gate=NoGateConfig(), steps=(30, 30))
+
+
+def shared(sharing: Sharing, policy: Any = None, seeds: Sequence[int] = (0, 1, 2), steps: int = 30) -> list[Episode]:
+    """What becomes of a policy (by default one that moves at random) and the expert at one hand."""
+    worlds = [PointWorld(PointConfig()) for _ in seeds]
+    for world, seed in zip(worlds, seeds, strict=True):
+        world.reset(seed)
+    actor = Mixed(policy or RandomActor(3), PointExpert(), sharing)
+    outcomes = rollout(worlds, actor, [Goal(GOAL)] * len(seeds), seeds=seeds, max_steps=steps)
+    return [outcome.episode for outcome in outcomes if outcome.episode is not None]
+
+
+def expert_at(sim_state: Array) -> Decision:
+    world, expert = PointWorld(PointConfig()), PointExpert()
+    world.set_state(sim_state)
+    expert.reset([Goal(GOAL)], [0])
+    return expert.act([world.observe()], [True])[0]
+
+
+def test_the_label_is_the_experts_answer_wherever_one_is() -> None:
+    """Asked again in every recorded state, it says what is on record; chance seldom does that."""
+    for episode in shared(replace(SHARING, beta=0.3)):
+        for t, label in enumerate(episode.expert_action):
+            np.testing.assert_array_equal(label, expert_at(episode.sim_state[t]).action)
+        own = ~episode.intervention
+        assert 0 < own.sum() < len(episode)
+        np.testing.assert_array_equal(episode.action[~own], episode.expert_action[~own])
+        assert (episode.action[own] != episode.expert_action[own]).any(axis=1).all()
+        assert set(episode.meta.skills) <= {"fetch", "carry", "press", "rest"}
+
+
+@pytest.mark.parametrize(("beta", "driven"), [(0.0, False), (1.0, True)])
+def test_at_0_the_policy_acts_alone_and_at_1_the_expert(beta: float, driven: bool) -> None:
+    """The actions are bit for bit those of either, let loose by itself."""
+    for seed, episode in enumerate(shared(replace(SHARING, beta=beta))):
+        assert (episode.intervention == driven).all()
+        world = PointWorld(PointConfig())
+        world.reset(seed)
+        actor: Any = PointExpert() if driven else RandomActor(3)
+        alone = rollout([world], actor, [Goal(GOAL)], seeds=[seed], max_steps=30)[0].episode
+        assert alone is not None
+        np.testing.assert_array_equal(episode.action, alone.action)
+
+
+def test_beta_is_the_share_of_stretches_and_each_row_draws_its_own() -> None:
+    """3 of 10 stretches of 4 steps: of 40 worlds with 10 each, 120 +- 4 standard deviations of 9.2 are the expert's."""
+    episodes = shared(replace(SHARING, beta=0.3, steps=(40, 40)), seeds=range(40), steps=40)
+    whole = [episode for episode in episodes if len(episode) == 40]  # the puck may fall off where chance acts
+    stretches = np.stack([episode.intervention.reshape(10, 4) for episode in whole])
+    assert (stretches == stretches[:, :, :1]).all(), "who acts changes between stretches only"
+    expected, spread = 0.3 * 10 * len(whole), np.sqrt(0.3 * 0.7 * 10 * len(whole))
+    assert abs(stretches[:, :, 0].sum() - expected) < 4 * spread
+    assert len({tuple(row) for row in stretches[:, :, 0].tolist()}) > len(whole) / 2
+    alone = shared(replace(SHARING, beta=0.3, steps=(40, 40)), seeds=[7], steps=40)[0]
+    np.testing.assert_array_equal(alone.intervention, episodes[7].intervention)
+
+
+def test_the_expert_finishes_after_a_drawn_number_of_steps() -> None:
+    lengths = [
+        int(np.argmax(episode.intervention)) for episode in shared(replace(SHARING, steps=(5, 20)), seeds=range(20))
+    ]
+    assert min(lengths) >= 5
+    assert max(lengths) <= 20
+    assert len(set(lengths)) > 5
+    for episode, length in zip(shared(replace(SHARING, steps=(5, 20)), seeds=range(20)), lengths, strict=True):
+        assert episode.intervention[length:].all(), "for good"
+
+
+def test_the_policy_gets_the_hand_back_where_it_plans_anew() -> None:
+    """Stretches of 3 steps, plans of 4: an expert's stretch that ends at step 3 lasts until step 4."""
+    for episode in shared(replace(SHARING, beta=0.5, stretch=3, plans=4), seeds=range(10)):
+        back = np.flatnonzero(np.diff(episode.intervention.astype(int)) == -1) + 1
+        assert (back % 4 == 0).all()
+
+
+def test_schedules() -> None:
+    """Constant; start, then a fifth of it less each round to 0; p^(i-1)."""
+    assert [ConstantConfig(0.3).at(i) for i in (1, 2, 9)] == [0.3] * 3
+    assert [LinearConfig(start=0.5, rounds=5).at(i) for i in range(1, 8)] == pytest.approx(
+        [0.5, 0.4, 0.3, 0.2, 0.1, 0, 0]
+    )
+    assert [ExponentialConfig(base=0.5).at(i) for i in (1, 2, 3, 4)] == [1.0, 0.5, 0.25, 0.125]
+    assert ZeroConfig().at(1) == 0
+    assert sorted(BetaConfig.get_known_choices()) == ["constant", "exponential", "linear", "zero"]
+    for wrong in ({"type": "constant", "value": 1.5}, {"type": "linear", "rounds": 0}, {"type": "cosine"}):
+        with pytest.raises(UsageError):
+            from_dict(DaggerConfig, {"beta": wrong})
+
+
+def opened(gate: Gate, distances: Sequence[float]) -> list[int]:
+    return [int(gate(Drift(distance, spread=distance))) for distance in distances]
+
+
+@pytest.mark.parametrize("kind", [DistanceConfig, UncertaintyConfig])
+def test_a_gate_opens_after_steps_running_and_closes_on_agreement(kind: Any) -> None:
+    """Above 0.5 for 2 steps running opens; at most 0.2 for 3 steps running closes; between, it stays."""
+    gate = kind(above=0.5, steps=2, below=0.2, agreeing=3).build()
+    assert opened(gate, [0.6, 0.1, 0.6, 0.6, 0.3, 0.1, 0.1, 0.3, 0.1, 0.1, 0.2, 0.6, 0.6]) == [
+        *(0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 0, 0, 1)
+    ]
+    assert opened(kind(above=0.5, steps=1, most=3).build(), [1.0] * 9) == [1, 1, 1, 0, 1, 1, 1, 0, 1]
+    assert opened(NoGateConfig().build(), [9.0] * 3) == [0, 0, 0]
+
+
+def test_a_gate_hands_over_to_the_expert_and_back() -> None:
+    """A policy that stands still agrees with the expert only once everything is done."""
+
+    class Still(RandomActor):
+        def act(self, observations: Sequence[Observation], active: Sequence[bool]) -> list[Decision]:
+            return [Decision(np.zeros(3, np.float32)) for _ in active]
+
+    gate = DistanceConfig(above=0.3, steps=3, agreeing=4)
+    for episode in shared(replace(SHARING, gate=gate, steps=(80, 80)), Still(3), steps=80):
+        apart = np.abs(episode.expert_action).max(axis=1) > 0.3
+        assert apart[:3].all()
+        assert episode.intervention[:3].tolist() == [False, False, True]
+        done = len(apart) - int(np.argmax(apart[::-1]))  # from here on nothing is left to do
+        assert not episode.intervention[done + 4 :].any()
+        assert len(episode) > done + 4
+
+
+def test_what_is_never_unsure_has_no_spread() -> None:
+    """Sampled again, a regressed chunk is the same and a denoised one another, in every row by itself."""
+    policies = [
+        PolicyConfig(chunk=8).build(spec(), None, 0),
+        PolicyConfig(head=DiffusionConfig(), chunk=8).build(spec(), None, 0),
+    ]
+    spreads = []
+    for policy in policies:
+        actor = PolicyActor(policy, execute=4)
+        world = PointWorld(PointConfig())
+        world.reset(0)
+        goals = [Goal(GOAL)] * 2
+        for rows in (2, 1):
+            actor.reset(goals[:rows], range(rows))
+            actor.act([world.observe()] * rows, [True] * rows)
+            spreads.append(actor.spread(4, [torch.Generator().manual_seed(k) for k in range(rows)]))
+    sure, _, unsure, alone = spreads
+    assert sure.tolist() == [0, 0]
+    assert (unsure > 0).all()
+    assert unsure[0] != unsure[1]
+    assert alone[0] == pytest.approx(unsure[0], rel=1e-5)
+
+
+# Rounds ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A policy that has seen little: 30 updates on some play."""
+    folder = tmp_path_factory.mktemp("dagger")
+    play(folder / "play")
+    save_config(SUITE, folder / "suite.yaml")
+    fields = {
+        "store": str(folder / "play"),
+        "policy": {"encoder": {"type": "state", "hidden": 32}, "trunk": {"type": "mlp", "width": 64}, "chunk": 4},
+        "batch_size": 64,
+        "steps": 30,
+        "lr": 2e-3,
+        "warmup": 5,
+        "heldout_batches": 1,
+        "ema_decay": 0.9,
+        "cpu": True,
+    }
+    train(from_dict(TrainConfig, fields), folder / "run")
+    return folder / "run"
+
+
+def described(run: Path, **changes: Any) -> DaggerConfig:
+    """Two rounds of a few episodes."""
+    fields = {
+        "practice": str(run.parent / "suite.yaml"),
+        "rounds": 2,
+        "episodes": 6,
+        "policy_steps": [5, 20],
+        "finish_steps": 60,
+        "settle": 4,
+        "execute": 2,
+        "updates": 3,
+        "warmup": 2,
+        "judged": 4,
+        "cpu": True,
+    }
+    return from_dict(DaggerConfig, fields | changes)
+
+
+def go(config: DaggerConfig, run: Path, out: Path, **more: Any) -> dict[str, Any]:
+    return dagger(config, run, out, workers=0, expert=point_expert, **more)
+
+
+def test_what_is_practised_is_relabelled_by_the_goal_that_was_commanded(run: Path, tmp_path: Path) -> None:
+    """Every example's goal is the setup's, within what counts as reached, whatever the policy did on the way there."""
+    sharing = Sharing(0.0, 8, NoGateConfig(), (5, 20))
+    practice = Practice(SUITE, Trained(run, "state", 2), point_expert, sharing, seed=5, finish_steps=60, settle=4)
+    tried = practise(practice, range(10, 20), tmp_path, 0, "practice")
+    store, world = NativeStore.open(tmp_path / "play"), PointWorld(PointConfig())
+    assert store.indices().tolist() == [row.episode for row in tried if row.kept]
+    assert len(store) >= 8
+    data = DataConfig(chunk=4, goals=EndingConfig(), heldout_share=0.0).build(store, "train", 0)
+    batch = data.batch(0, np.arange(len(data)))
+    own, _ = data.where(np.arange(len(data)))
+    for position, number in enumerate(store.indices().tolist()):
+        setup = SUITE.kind.setup(PointWorld(PointConfig()), PointExpert(), number, 5, SUITE.max_steps, ())
+        goals = batch.goal_achieved.numpy()[own == position]
+        assert len(goals) == store.lengths()[position]
+        assert all(world.reached(goal, setup.goal.achieved) for goal in goals)
+        episode = store.read(position)
+        np.testing.assert_array_equal(episode.sim_state[0], setup.start)
+        assert (episode.meta.task, episode.meta.actor) == (setup.task, "dagger")
+    assert sum(row.labels for row in tried if row.kept) == store.lengths().sum() == len(data)
+    assert sum(row.driven for row in tried if row.kept) == sum(
+        store.read(i).intervention.sum() for i in range(len(store))
+    )
+
+
+def test_an_expert_that_does_not_finish_is_counted_and_leaves_nothing(run: Path, tmp_path: Path) -> None:
+    sharing = Sharing(0.0, 8, NoGateConfig(), (1, 1))
+    practice = Practice(SUITE, Trained(run, "state", 2), point_expert, sharing, seed=5, finish_steps=3, settle=4)
+    tried = practise(practice, range(4), tmp_path, 0, "practice")
+    assert [(row.kept, row.ended, row.labels) for row in tried] == [(False, "length", 4)] * 4
+    assert len(NativeStore.open(tmp_path / "play")) == 0
+    with pytest.raises(PlaylearnError, match="none of 6 episodes"):
+        go(described(run, policy_steps=[1, 1], finish_steps=3), run, tmp_path / "out")
+
+
+def test_rounds(run: Path, tmp_path: Path) -> None:
+    """Every round's row adds up, and OUT is a run like any other."""
+    out = tmp_path / "out"
+    config = described(run, beta={"type": "exponential"})
+    results = go(config, run, out)
+    assert json.loads((out / "results.json").read_text()) == results
+    start, *rounds = results["rounds"]
+    assert (start["round"], start["episodes"]) == (0, 4)
+    for number, row in enumerate(rounds, 1):
+        store = NativeStore.open(out / "rounds" / str(number) / "play")
+        assert row["frames"] == store.lengths().sum()
+        assert row["kept"] == len(store) <= row["attempted"] == 6
+        assert store.indices().min() >= 6 * (number - 1)
+        assert row["frames"] <= row["labels"]
+        assert row["beta"] == 0.5 ** (number - 1)
+        assert len(row["ci95"]) == 2
+    assert (out / "plot.png").read_bytes()[:4] == b"\x89PNG"
+    written = load_config(TrainConfig, out / "config.yaml")
+    assert sum(source.share for source in written.more) == pytest.approx(0.5)
+    assert [source.share for source in written.more] == pytest.approx(
+        [0.5 * row["frames"] / sum(row["frames"] for row in rounds) for row in rounds]
+    )
+    before, after = Policy.load(run / "policy").state_dict(), Policy.load(out / "policy").state_dict()
+    same = {name: torch.equal(before[name], after[name]) for name in before}
+    assert all(kept for name, kept in same.items() if name.startswith("normaliser"))
+    assert not all(same.values())
+    Trained(out, "state").check()
+
+    with pytest.raises(UsageError, match="--resume"):
+        go(config, run, out)
+    with pytest.raises(UsageError, match="another share"):
+        go(replace(config, share=0.3), run, out, resume=True)
+
+
+def test_a_killed_round_is_gone_on_with_and_those_before_it_are_not_repeated(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Killed in round 2, once in practice and once before it is judged; what comes of it in the end is the same."""
+    config, broken = described(run), tmp_path / "broken"
+    whole = go(config, run, tmp_path / "whole")
+
+    class Killed(BaseException):
+        pass
+
+    def evaluate(*arguments: Any, **more: Any) -> Any:
+        if more["out"].parts[-2] == "2":
+            raise Killed
+        return plain(*arguments, **more)
+
+    def setups(practice: Any, numbers: Any, *others: Any) -> Any:
+        if numbers[0] == 10:  # the second cohort of round 2
+            raise Killed
+        return drawn(practice, numbers, *others)
+
+    plain, drawn = module.evaluate, practising._setups
+    for place, name, strikes in ((practising, "_setups", setups), (module, "evaluate", evaluate)):
+        with monkeypatch.context() as patch:
+            patch.setattr(place, name, strikes)
+            with pytest.raises(Killed):
+                go(config, run, broken, resume=broken.exists())
+    first = (broken / "rounds" / "1" / "round.json").stat().st_mtime_ns
+    resumed = go(config, run, broken, resume=True)
+    assert (broken / "rounds" / "1" / "round.json").stat().st_mtime_ns == first
+
+    def rows(results: dict[str, Any]) -> list[dict[str, Any]]:
+        return [{name: value for name, value in row.items() if name != "seconds"} for row in results["rounds"]]
+
+    assert rows(resumed) == rows(whole)
+    one, other = Policy.load(broken / "policy").state_dict(), Policy.load(tmp_path / "whole" / "policy").state_dict()
+    assert all(torch.equal(one[name], other[name]) for name in one)
+
+
+@pytest.mark.parametrize("control", ["play", "noise"])
+def test_a_control_adds_as_many_steps_of_play(
+    control: str, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At least those of the run it is like, less than an episode more; its play is that of the run but for noise."""
+    played: list[PlayConfig] = []
+
+    def player(_world: Any, config: PlayConfig) -> PointPlayer:
+        played.append(config)
+        return PointPlayer()  # this one's hand must not tremble: it would grasp nothing
+
+    monkeypatch.setattr("playlearn.collect.job.player_for", player)
+    save_config(CollectConfig(environment=PointConfig(), steps=150, seed=3), run.parent / "play" / "collect.yaml")
+    (tmp_path / "like").mkdir()
+    rows = [{"round": 0}, {"round": 1, "frames": 500}, {"round": 2, "frames": 160}]
+    (tmp_path / "like" / "results.json").write_text(json.dumps({"rounds": rows}))
+    out = tmp_path / "out"
+    results = go(described(run, control=control, like=str(tmp_path / "like")), run, out)
+    assert [row["labels"] for row in results["rounds"][1:]] == [0, 0]
+    for row, wanted in zip(results["rounds"][1:], (500, 160), strict=True):
+        assert wanted <= row["frames"] < wanted + 150
+    assert {config.noise for config in played} == {0.5 if control == "noise" else PlayConfig().noise}
+    stores = [NativeStore.open(out / "rounds" / str(number) / "play") for number in (1, 2)]
+    firsts = {tuple(store.array(0, "sim.state")[0]) for store in stores}
+    assert len(firsts) == 2, "each round plays anew"
+    assert [source.share for source in load_config(TrainConfig, out / "config.yaml").more] == pytest.approx(
+        [0.5 * row["frames"] / sum(row["frames"] for row in results["rounds"][1:]) for row in results["rounds"][1:]]
+    )
+    with pytest.raises(UsageError, match="has 2 rounds"):
+        go(described(run, control=control, like=str(tmp_path / "like"), rounds=3), run, tmp_path / "more")
+
+
+def test_mistakes_are_found_before_anything_runs(run: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(UsageError, match="no run at"):
+        go(described(run), tmp_path / "nowhere", out)
+    with pytest.raises(UsageError, match="nobody can drive 'point'"):
+        dagger(described(run), run, out, workers=0)
+    with pytest.raises(UsageError, match="seed of this practice"):
+        go(described(run, judged_seed=module.derived_seed(module._PRACTICE, 0)), run, out)
+    with pytest.raises(UsageError, match="never uncertain"):
+        go(described(run, gate={"type": "uncertainty"}), run, out)
+    with pytest.raises(UsageError, match="like"):
+        described(run, control="play")
+    with pytest.raises(UsageError, match="no DAgger run at"):
+        go(described(run, control="play", like=str(tmp_path)), run, out)
+    for wrong in ({"share": 1.0}, {"share": 0}, {"rounds": 0}, {"policy_steps": [9, 3]}, {"gate": {"type": "maybe"}}):
+        with pytest.raises(UsageError):
+            described(run, **wrong)
+    with pytest.raises(UsageError, match="use --goal state"):
+        go(described(run, goal="image"), run, out)
+    save_config(replace(SUITE, environment=PlayTableConfig()), tmp_path / "other.yaml")
+    with pytest.raises(CheckpointError, match="another state"):
+        go(described(run, practice=str(tmp_path / "other.yaml")), run, out)
+    assert not out.exists()
+    out.mkdir()
+    (out / "mine").touch()
+    with pytest.raises(UsageError, match="no DAgger run"):
+        go(described(run), run, out)
+    with pytest.raises(UsageError, match="to resume"):
+        go(described(run), run, tmp_path / "none", resume=True)
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
+def test_shipped_configs_are_whole(path: Path) -> None:
+    config = load_config(DaggerConfig, path)
+    assert config.practice.is_file()
+    assert load_config(DaggerConfig, path, ["--control=play", "--like=runs/x"]).control == "play"
+
+
+def test_every_gate_is_built() -> None:
+    for name in GateConfig.get_known_choices():
+        assert GateConfig.get_choice_class(name)().build()(Drift(0.0)) is False
