@@ -109,6 +109,23 @@ def evaluate(arguments: argparse.Namespace) -> int:
     return DONE
 
 
+def dagger(arguments: argparse.Namespace) -> int:
+    from playlearn.config import load_config
+    from playlearn.dagger import DaggerConfig
+    from playlearn.dagger import dagger as run
+    from playlearn.dagger.results import line
+
+    config = load_config(DaggerConfig, arguments.config, arguments.overrides)
+    results = run(config, arguments.run, arguments.out, workers=arguments.workers, resume=arguments.resume)
+    if arguments.json:
+        print(json.dumps(results, indent=2))
+    else:
+        for row in results["rounds"]:
+            print(line(row))
+        print(f"plot  {arguments.out / 'plot.png'}")
+    return DONE
+
+
 def export(arguments: argparse.Namespace) -> int:
     from playlearn.report.progress import Progress
     from playlearn.store import open_store

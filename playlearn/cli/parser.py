@@ -92,6 +92,14 @@ def _parser() -> argparse.ArgumentParser:
     made.add_argument("--seed", type=int, metavar="S", help="instead of the suite's own")
     _json(made)
 
+    words = "let a policy practise under an expert's eyes, and train it further, in rounds"
+    made = verb(commands.dagger, "dagger", words, free=True, kept=kept)
+    _config(made, "configs/dagger/NAME.yaml")
+    made.add_argument("--run", type=Path, required=True, metavar="RUN", help="the training run to begin with")
+    _workers(made)
+    made.add_argument("--resume", action="store_true", help="go on with the rounds in --out, skip those that are done")
+    _json(made)
+
     made = verb(commands.export, "export", "write a store in a format that others read")
     made.add_argument("format", choices=("lerobot",))
     made.add_argument("store", type=Path, metavar="STORE")
