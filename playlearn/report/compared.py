@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 Row = Mapping[str, Any]
+PERIOD = 50  # ms, of control at 20 Hz
 BLUE, GREY, AMBER = "#2a6f97", "#9aa5b1", "#edae49"
 
 
@@ -47,8 +48,10 @@ def plot(rows: Sequence[Row], path: Path) -> None:
     training.set(xlabel="training, core minutes")
     latency.barh(places, [row["latency_ms"]["p50"] for row in ordered], color=GREY, height=0.62)
     latency.plot([row["latency_ms"]["p95"] for row in ordered], places, "|", color="black")
-    latency.set(xlabel="one chunk, ms (p50; | p95)", xscale="log")
-    latency.axvline(50, color=AMBER, lw=1)
+    latency.set(xlabel="one chunk, ms (p50; | p95)", xscale="log", xlim=(1, 200))
+    latency.set_xticks([1, 3, 10, 30, 100], ["1", "3", "10", "30", "100"])
+    latency.minorticks_off()
+    latency.axvline(PERIOD, color=AMBER, lw=1)
     for axes in (reached, training, latency):
         axes.spines[["top", "right"]].set_visible(False)
     figure.savefig(path, dpi=130)
