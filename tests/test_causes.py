@@ -11,8 +11,8 @@ from playlearn.episode import Array, Decision, Goal, Observation
 from playlearn.evaluate import causes
 from playlearn.evaluate.causes import CausesConfig, Finding, find_cause
 from playlearn.rollout import rollout
-from playlearn.sim.environment import EnvironmentConfig
-from tests.fakes import BUTTON, PointConfig, PointWorld
+from playlearn.sim.environment import Environment, EnvironmentConfig
+from tests.fakes import BUTTON, PointConfig, PointExpert, PointWorld
 
 # A point's stride is 10 cm, so hands are large here; its closed grip reads 0, as an opening should.
 CONFIG = CausesConfig(reach=0.2, still=0.05, still_seconds=1.0)
@@ -38,6 +38,17 @@ class HandWorld(PointWorld):
         seen = super().observe(cameras)
         state = np.array([*seen.state[:2], 1.0 - seen.state[2]], np.float32)
         return Observation(state, seen.achieved, seen.images, seen.time)
+
+
+class HandExpert(PointExpert):
+    """The point world's expert, in these words."""
+
+    def act(self, observations: Sequence[Observation], active: Sequence[bool]) -> list[Decision]:
+        return super().act([replace(o, state=np.array([*o.state[:2], 1.0 - o.state[2]])) for o in observations], active)
+
+
+def hand_expert(_environment: Environment) -> HandExpert:
+    return HandExpert()
 
 
 Stop = tuple[Any, float]  # where to, (2,) or "puck"; grip
@@ -118,8 +129,10 @@ def test_each_way_of_failing_is_known_by_its_name(cause: str) -> None:
 def test_what_is_counted_beside_the_cause() -> None:
     """The grasps at the puck and those it went along with, how near the hand came, when it stopped."""
     dropped, missed, stalled = (found(CASES[c][0]()) for c in (causes.DROPPED, causes.MISSED, causes.STALLED))
-    assert (dropped.grasps, dropped.caught) == (1, 1)
+    assert (dropped.grasps, dropped.caught, dropped.holding) == (1, 1, False)
     assert (missed.grasps, missed.caught) == (1, 0)
+    assert missed.off == pytest.approx(0.15, abs=0.01)
+    assert found(CASES[causes.SHORT][0]()).holding
     assert stalled.closest == pytest.approx(0.15, abs=0.01)
     # 0.8 m along x at 1 m/s; it is within 5 cm of where it stays half a step before
     assert stalled.stalled_from == pytest.approx(0.8, abs=0.11)

@@ -126,6 +126,26 @@ def dagger(arguments: argparse.Namespace) -> int:
     return DONE
 
 
+def diagnose(arguments: argparse.Namespace) -> int:
+    from playlearn.diagnose import diagnose as run
+    from playlearn.diagnose import said
+
+    results = run(
+        arguments.run,
+        arguments.suite,
+        arguments.out,
+        goal=arguments.goal,
+        episodes=arguments.episodes,
+        workers=arguments.workers,
+        seed=arguments.seed,
+        overrides=arguments.overrides,
+    )
+    print(json.dumps(results, indent=2) if arguments.json else said(results))
+    if not arguments.json:
+        print(f"report     {arguments.out / 'diagnosis.html'}")
+    return DONE
+
+
 def export(arguments: argparse.Namespace) -> int:
     from playlearn.report.progress import Progress
     from playlearn.store import open_store

@@ -100,6 +100,16 @@ def _parser() -> argparse.ArgumentParser:
     made.add_argument("--resume", action="store_true", help="go on with the rounds in --out, skip those that are done")
     _json(made)
 
+    made = verb(commands.diagnose, "diagnose", "say why a policy fails on a suite, with pictures", free=True)
+    made.add_argument("--run", type=Path, required=True, metavar="RUN", help="the folder of a training run")
+    made.add_argument("--suite", type=Path, required=True, metavar="FILE", help="eval/suites/NAME.yaml")
+    made.add_argument("--goal", choices=("image", "state"), required=True, help="how the goal is shown")
+    made.add_argument("--out", type=Path, required=True, metavar="DIR", help="diagnosis.json and .html go here")
+    made.add_argument("--episodes", type=_count, metavar="N", help="episodes in all, instead of the suite's own")
+    _workers(made)
+    made.add_argument("--seed", type=int, metavar="S", help="instead of the suite's own")
+    _json(made)
+
     made = verb(commands.export, "export", "write a store in a format that others read")
     made.add_argument("format", choices=("lerobot",))
     made.add_argument("store", type=Path, metavar="STORE")

@@ -53,7 +53,8 @@ class CausesConfig:
 class Finding:
     """cause: one of `CAUSES`. asked: the things that were to be moved and are not there. stalled_from: seconds into the
     attempt, None where the hand moved to the end. closest: metres, of the hand to one of them, None where they have no
-    place. grasps, caught: how often the gripper closed beside one, and how often that then went with it.
+    place. grasps, caught: how often the gripper closed beside one, and how often that then went with it. off: metres,
+    of the hand to it at the best of these closings. holding: one was still in the gripper at the end.
     """
 
     cause: str
@@ -62,6 +63,8 @@ class Finding:
     closest: float | None
     grasps: int
     caught: int
+    off: float | None
+    holding: bool
 
 
 def find_cause(
@@ -90,6 +93,7 @@ def find_cause(
     hand = _Hand.of(world, body, config)
     grasps = [grasp for thing in asked for grasp in hand.grasps(achieved, names, own[thing], change)]
     caught = [grasp for grasp in grasps if grasp.followed]
+    holding = any(grasp.end == len(achieved) for grasp in caught)
     stalled = hand.stalled(config)
     closest = [near for thing in asked if (near := hand.closest(achieved, names, own[thing])) is not None]
 
@@ -103,7 +107,7 @@ def find_cause(
             return WRONG if set(amiss) - meant else NEAR
         if not touched and moved - meant:
             return WRONG
-        if any(grasp.end < len(achieved) - 1 for grasp in caught):
+        if caught and not holding:
             return DROPPED
         if grasps and not caught:
             return MISSED
@@ -118,15 +122,21 @@ def find_cause(
         closest=min(closest, default=None),
         grasps=len(grasps),
         caught=len(caught),
+        off=min((grasp.off for grasp in grasps), default=None),
+        holding=holding,
     )
 
 
 @dataclass(frozen=True)
 class _Grasp:
-    """end: the first observation with the gripper open again, T+1 where it never is. followed: the thing went along."""
+    """end: the first observation with the gripper open again, T+1 where it never is. followed: the thing went along.
+
+    off: metres between hand and thing when it closed.
+    """
 
     end: int
     followed: bool
+    off: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,11 +183,12 @@ class _Hand:
         found = []
         for begin, end in self.closings:
             closing = slice(max(0, begin - 1), min(end, begin + round(self.fps / 4)) + 1)
-            if np.linalg.norm(hand[closing] - thing[closing], axis=1).min() > self.reach:
+            off = float(np.linalg.norm(hand[closing] - thing[closing], axis=1).min())
+            if off > self.reach:
                 continue
             went = np.linalg.norm(thing[begin : end + 1] - thing[begin], axis=1)
             apart = np.linalg.norm((thing - hand)[begin : end + 1] - (thing - hand)[begin], axis=1)
-            found.append(_Grasp(end, bool(((went > moves) & (apart < went / 2)).any())))
+            found.append(_Grasp(end, bool(((went > moves) & (apart < went / 2)).any()), off))
         return found
 
     def stalled(self, config: CausesConfig) -> int | None:
