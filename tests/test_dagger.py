@@ -1,7 +1,6 @@
-"""Laws of DAgger, in a world in which everything takes milliseconds."""
+"""Laws of DAgger's rounds, in a world in which everything takes milliseconds."""
 
 import json
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,175 +14,23 @@ from playlearn.config import from_dict, load_config, save_config
 from playlearn.dagger import DaggerConfig, dagger
 from playlearn.dagger import job as module
 from playlearn.dagger import practise as practising
-from playlearn.dagger.actor import Mixed, Sharing
-from playlearn.dagger.gate import DistanceConfig, Drift, Gate, GateConfig, NoGateConfig, UncertaintyConfig
+from playlearn.dagger.actor import Sharing
+from playlearn.dagger.gate import NoGateConfig
 from playlearn.dagger.practise import Practice, practise
-from playlearn.dagger.schedule import BetaConfig, ConstantConfig, ExponentialConfig, LinearConfig, ZeroConfig
 from playlearn.data import DataConfig
-from playlearn.episode import Array, Decision, Episode, Goal, Observation
 from playlearn.errors import CheckpointError, PlaylearnError, UsageError
 from playlearn.evaluate import Trained
-from playlearn.policies import Policy, PolicyConfig
-from playlearn.policies.execution import PolicyActor
-from playlearn.policies.heads import DiffusionConfig
+from playlearn.policies import Policy
 from playlearn.relabel.ending import EndingConfig
-from playlearn.rollout import RandomActor, rollout
 from playlearn.store import NativeStore
 from playlearn.tasks import PlayTableConfig
 from playlearn.teleop import PlayConfig
 from playlearn.train import TrainConfig, train
 from tests.fakes import PointConfig, PointExpert, PointPlayer, PointWorld, point_expert
-from tests.test_evaluate import SUITE, play, spec
+from tests.test_evaluate import SUITE, play
 
 torch.set_num_threads(1)
 CONFIGS = sorted((Path(__file__).parents[1] / "configs" / "dagger").glob("*.yaml"))
-GOAL = np.array([0.5, -0.5, 0.0], np.float32)
-SHARING = Sharing(beta=0.0, stretch=4, gate=NoGateConfig(), steps=(30, 30))
-
-
-def shared(sharing: Sharing, policy: Any = None, seeds: Sequence[int] = (0, 1, 2), steps: int = 30) -> list[Episode]:
-    """What becomes of a policy (by default one that moves at random) and the expert at one hand."""
-    worlds = [PointWorld(PointConfig()) for _ in seeds]
-    for world, seed in zip(worlds, seeds, strict=True):
-        world.reset(seed)
-    actor = Mixed(policy or RandomActor(3), PointExpert(), sharing)
-    outcomes = rollout(worlds, actor, [Goal(GOAL)] * len(seeds), seeds=seeds, max_steps=steps)
-    return [outcome.episode for outcome in outcomes if outcome.episode is not None]
-
-
-def expert_at(sim_state: Array) -> Decision:
-    world, expert = PointWorld(PointConfig()), PointExpert()
-    world.set_state(sim_state)
-    expert.reset([Goal(GOAL)], [0])
-    return expert.act([world.observe()], [True])[0]
-
-
-def test_the_label_is_the_experts_answer_wherever_one_is() -> None:
-    """Asked again in every recorded state, it says what is on record; chance seldom does that."""
-    for episode in shared(replace(SHARING, beta=0.3)):
-        for t, label in enumerate(episode.expert_action):
-            np.testing.assert_array_equal(label, expert_at(episode.sim_state[t]).action)
-        own = ~episode.intervention
-        assert 0 < own.sum() < len(episode)
-        np.testing.assert_array_equal(episode.action[~own], episode.expert_action[~own])
-        assert (episode.action[own] != episode.expert_action[own]).any(axis=1).all()
-        assert set(episode.meta.skills) <= {"fetch", "carry", "press", "rest"}
-
-
-@pytest.mark.parametrize(("beta", "driven"), [(0.0, False), (1.0, True)])
-def test_at_0_the_policy_acts_alone_and_at_1_the_expert(beta: float, driven: bool) -> None:
-    """The actions are bit for bit those of either, let loose by itself."""
-    for seed, episode in enumerate(shared(replace(SHARING, beta=beta))):
-        assert (episode.intervention == driven).all()
-        world = PointWorld(PointConfig())
-        world.reset(seed)
-        actor: Any = PointExpert() if driven else RandomActor(3)
-        alone = rollout([world], actor, [Goal(GOAL)], seeds=[seed], max_steps=30)[0].episode
-        assert alone is not None
-        np.testing.assert_array_equal(episode.action, alone.action)
-
-
-def test_beta_is_the_share_of_stretches_and_each_row_draws_its_own() -> None:
-    """3 of 10 stretches of 4 steps: of 40 worlds with 10 each, 120 +- 4 standard deviations of 9.2 are the expert's."""
-    episodes = shared(replace(SHARING, beta=0.3, steps=(40, 40)), seeds=range(40), steps=40)
-    whole = [episode for episode in episodes if len(episode) == 40]  # the puck may fall off where chance acts
-    stretches = np.stack([episode.intervention.reshape(10, 4) for episode in whole])
-    assert (stretches == stretches[:, :, :1]).all(), "who acts changes between stretches only"
-    expected, spread = 0.3 * 10 * len(whole), np.sqrt(0.3 * 0.7 * 10 * len(whole))
-    assert abs(stretches[:, :, 0].sum() - expected) < 4 * spread
-    assert len({tuple(row) for row in stretches[:, :, 0].tolist()}) > len(whole) / 2
-    alone = shared(replace(SHARING, beta=0.3, steps=(40, 40)), seeds=[7], steps=40)[0]
-    np.testing.assert_array_equal(alone.intervention, episodes[7].intervention)
-
-
-def test_the_expert_finishes_after_a_drawn_number_of_steps() -> None:
-    lengths = [
-        int(np.argmax(episode.intervention)) for episode in shared(replace(SHARING, steps=(5, 20)), seeds=range(20))
-    ]
-    assert min(lengths) >= 5
-    assert max(lengths) <= 20
-    assert len(set(lengths)) > 5
-    for episode, length in zip(shared(replace(SHARING, steps=(5, 20)), seeds=range(20)), lengths, strict=True):
-        assert episode.intervention[length:].all(), "for good"
-
-
-def test_the_policy_gets_the_hand_back_where_it_plans_anew() -> None:
-    """Stretches of 3 steps, plans of 4: an expert's stretch that ends at step 3 lasts until step 4."""
-    for episode in shared(replace(SHARING, beta=0.5, stretch=3, plans=4), seeds=range(10)):
-        back = np.flatnonzero(np.diff(episode.intervention.astype(int)) == -1) + 1
-        assert (back % 4 == 0).all()
-
-
-def test_schedules() -> None:
-    """Constant; start, then a fifth of it less each round to 0; p^(i-1)."""
-    assert [ConstantConfig(0.3).at(i) for i in (1, 2, 9)] == [0.3] * 3
-    assert [LinearConfig(start=0.5, rounds=5).at(i) for i in range(1, 8)] == pytest.approx(
-        [0.5, 0.4, 0.3, 0.2, 0.1, 0, 0]
-    )
-    assert [ExponentialConfig(base=0.5).at(i) for i in (1, 2, 3, 4)] == [1.0, 0.5, 0.25, 0.125]
-    assert ZeroConfig().at(1) == 0
-    assert sorted(BetaConfig.get_known_choices()) == ["constant", "exponential", "linear", "zero"]
-    for wrong in ({"type": "constant", "value": 1.5}, {"type": "linear", "rounds": 0}, {"type": "cosine"}):
-        with pytest.raises(UsageError):
-            from_dict(DaggerConfig, {"beta": wrong})
-
-
-def opened(gate: Gate, distances: Sequence[float]) -> list[int]:
-    return [int(gate(Drift(distance, spread=distance))) for distance in distances]
-
-
-@pytest.mark.parametrize("kind", [DistanceConfig, UncertaintyConfig])
-def test_a_gate_opens_after_steps_running_and_closes_on_agreement(kind: Any) -> None:
-    """Above 0.5 for 2 steps running opens; at most 0.2 for 3 steps running closes; between, it stays."""
-    gate = kind(above=0.5, steps=2, below=0.2, agreeing=3).build()
-    assert opened(gate, [0.6, 0.1, 0.6, 0.6, 0.3, 0.1, 0.1, 0.3, 0.1, 0.1, 0.2, 0.6, 0.6]) == [
-        *(0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 0, 0, 1)
-    ]
-    assert opened(kind(above=0.5, steps=1, most=3).build(), [1.0] * 9) == [1, 1, 1, 0, 1, 1, 1, 0, 1]
-    assert opened(NoGateConfig().build(), [9.0] * 3) == [0, 0, 0]
-
-
-def test_a_gate_hands_over_to_the_expert_and_back() -> None:
-    """A policy that stands still agrees with the expert only once everything is done."""
-
-    class Still(RandomActor):
-        def act(self, observations: Sequence[Observation], active: Sequence[bool]) -> list[Decision]:
-            return [Decision(np.zeros(3, np.float32)) for _ in active]
-
-    gate = DistanceConfig(above=0.3, steps=3, agreeing=4)
-    for episode in shared(replace(SHARING, gate=gate, steps=(80, 80)), Still(3), steps=80):
-        apart = np.abs(episode.expert_action).max(axis=1) > 0.3
-        assert apart[:3].all()
-        assert episode.intervention[:3].tolist() == [False, False, True]
-        done = len(apart) - int(np.argmax(apart[::-1]))  # from here on nothing is left to do
-        assert not episode.intervention[done + 4 :].any()
-        assert len(episode) > done + 4
-
-
-def test_what_is_never_unsure_has_no_spread() -> None:
-    """Sampled again, a regressed chunk is the same and a denoised one another, in every row by itself."""
-    policies = [
-        PolicyConfig(chunk=8).build(spec(), None, 0),
-        PolicyConfig(head=DiffusionConfig(), chunk=8).build(spec(), None, 0),
-    ]
-    spreads = []
-    for policy in policies:
-        actor = PolicyActor(policy, execute=4)
-        world = PointWorld(PointConfig())
-        world.reset(0)
-        goals = [Goal(GOAL)] * 2
-        for rows in (2, 1):
-            actor.reset(goals[:rows], range(rows))
-            actor.act([world.observe()] * rows, [True] * rows)
-            spreads.append(actor.spread(4, [torch.Generator().manual_seed(k) for k in range(rows)]))
-    sure, _, unsure, alone = spreads
-    assert sure.tolist() == [0, 0]
-    assert (unsure > 0).all()
-    assert unsure[0] != unsure[1]
-    assert alone[0] == pytest.approx(unsure[0], rel=1e-5)
-
-
-# Rounds ---------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -404,11 +251,6 @@ def test_shipped_configs_are_whole(path: Path) -> None:
     config = load_config(DaggerConfig, path)
     assert config.practice.is_file()
     assert load_config(DaggerConfig, path, ["--control=play", "--like=runs/x"]).control == "play"
-
-
-def test_every_gate_is_built() -> None:
-    for name in GateConfig.get_known_choices():
-        assert GateConfig.get_choice_class(name)().build()(Drift(0.0)) is False
 
 
 def test_a_policy_that_can_do_next_to_nothing_gets_better(run: Path, tmp_path: Path) -> None:

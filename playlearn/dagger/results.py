@@ -59,7 +59,7 @@ def plot(rows: Sequence[Row], path: Path) -> None:
     named = (
         ("labels", "labels asked of the expert", GREY),
         ("frames", "steps added", BLUE),
-        ("driven", "driven", AMBER),
+        ("driven", "steps it drove", AMBER),
     )
     for name, words, color in named:
         totals = [sum(row.get(name, 0) for row in rows[: k + 1]) for k in range(len(rows))]
