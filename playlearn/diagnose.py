@@ -20,7 +20,7 @@ from playlearn.data import DataConfig, PlayDataset
 from playlearn.episode import read_annotation
 from playlearn.errors import PlaylearnError, UsageError
 from playlearn.evaluate import Contender, Expert, SuiteConfig, Trained, load_suite
-from playlearn.evaluate.causes import CAUSES, ENDED, CausesConfig, Finding, find_cause
+from playlearn.evaluate.causes import CAUSES, ENDED, CausesConfig, Finding, by_grasp, find_cause
 from playlearn.evaluate.cohort import Attempt, Track, lost, run_cohort, world_of
 from playlearn.evaluate.results import ends, summary
 from playlearn.executor import Executor, Job, LocalExecutorConfig, LostError
@@ -174,12 +174,14 @@ def _watch(
 def watch_cohort(
     suite: SuiteConfig, episodes: Sequence[int], contenders: Sequence[Contender], expert: Expert, causes: CausesConfig
 ) -> Watched:
-    """What one worker does: the attempts, and why the first contender's failed."""
-    result = run_cohort(suite, episodes, contenders, expert)
+    """What one worker does: the attempts of a contender and the expert, and why those of the former failed."""
+    result = run_cohort(suite, episodes, contenders, expert, tracked=2)
     world = world_of(suite)
     mine = [attempt for attempt in result.attempts if attempt.policy == contenders[0].name]
     failed = {attempt.episode: attempt for attempt in ends(mine) if not attempt.success}
-    tracks = {episode: track for episode, track in result.tracks.items() if episode in failed}
+    own, shown = (result.tracks[contender.name] for contender in contenders)
+    tracks = {episode: track for episode, track in own.items() if episode in failed}
+    reached = {a.episode for a in ends([a for a in result.attempts if a.policy == expert.name]) if a.success}
     findings = {}
     for episode, track in tracks.items():
         attempt = failed[episode]
@@ -190,7 +192,12 @@ def watch_cohort(
         content = np.array([judge(track.achieved[0], row, goal) for row in track.achieved])
         content[0] = False  # what is there before anything is done was not reached
         early = not attempt.reason.startswith("not reached")
-        findings[episode] = find_cause(world, track.achieved, track.body, goal, content, early, causes)
+        # What the expert did without a grasp does not fail as one; of a chain its last goal alone is known.
+        model = shown.get(episode) if episode in reached else None
+        grasping = True
+        if model is not None and np.array_equal(model.goal_state, track.goal_state):
+            grasping = by_grasp(world, model.achieved, model.body, goal, causes)
+        findings[episode] = find_cause(world, track.achieved, track.body, goal, content, early, causes, grasping)
     return Watched(result.attempts, findings, tracks, world.spec.fps)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from playlearn.episode import Array, Decision, Goal, Observation
 from playlearn.evaluate import causes
-from playlearn.evaluate.causes import CausesConfig, Finding, find_cause
+from playlearn.evaluate.causes import CausesConfig, Finding, by_grasp, find_cause
 from playlearn.rollout import rollout
 from playlearn.sim.environment import Environment, EnvironmentConfig
 from tests.fakes import BUTTON, PointConfig, PointExpert, PointWorld
@@ -162,3 +162,22 @@ def test_of_several_things_the_one_not_there_counts() -> None:
     goal = np.array([*GOAL[:2], 1.0])
     result = found(Script([(BUTTON, -1.0), (BUTTON, 1.0), *WANDER]), goal=goal)
     assert (result.cause, result.asked) == (causes.NEVER, ("puck",))
+
+
+def test_what_is_done_without_a_grasp_does_not_fail_as_one() -> None:
+    """The expert carries the puck and presses the lamp's button; only where it grasped can a grasp be missed."""
+    world = HandWorld(HandConfig())
+    for goal, grasped in ((GOAL, True), (np.array([0.3, 0.0, 1.0]), False)):
+        world.set_state(START)
+        shown = [Goal(np.asarray(goal, np.float32))]
+        episode = rollout([world], HandExpert(), shown, seeds=[0], max_steps=40)[0].episode
+        assert episode is not None
+        assert world.reached(episode.achieved[-1], goal)
+        assert by_grasp(world, episode.achieved, episode.state, goal, CONFIG) == grasped
+    world.set_state(START)
+    script = CASES[causes.MISSED][0]()
+    episode = rollout([world], script, [Goal(np.asarray(GOAL, np.float32))], seeds=[0], max_steps=60)[0].episode
+    assert episode is not None
+    quiet = np.zeros(len(episode.achieved), np.bool_)
+    given = (world, episode.achieved, episode.state, GOAL, quiet, False, CONFIG)
+    assert [find_cause(*given, grasping=g).cause for g in (True, False)] == [causes.MISSED, causes.NEVER]

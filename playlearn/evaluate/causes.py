@@ -75,18 +75,19 @@ def find_cause(
     content: NDArray[np.bool_],
     ended: bool,
     config: CausesConfig,
+    grasping: bool = True,
 ) -> Finding:
     """Of a failed attempt with achieved (T+1, G) and body (T+1, S) towards goal (G,).
 
-    content: (T+1,) whether the judge was. ended: whether it was over before its time.
+    content: (T+1,) whether the judge was. ended: whether it was over before its time. grasping: whether it
+    is to be done by a grasp, so that it can fail as one.
     """
     names = world.spec.achieved_names
     own = things(names)
     change = thresholds(config.settling.change, names, "change")
     start, final = achieved[0].astype(np.float64), achieved[-1].astype(np.float64)
     goal = goal.astype(np.float64)
-    meant = {thing for thing, k in own.items() if (np.abs(goal - start)[k] > change[k]).any()}
-    meant |= set(misplaced(world, start, goal))
+    meant = _meant(world, start, goal, change)
     amiss = misplaced(world, final, goal)
     asked = [thing for thing in own if thing in meant and thing in amiss] or [thing for thing in own if thing in meant]
     moved = {thing for thing, k in own.items() if (np.abs(achieved - start)[:, k] > change[k]).any()}
@@ -107,9 +108,9 @@ def find_cause(
             return WRONG if set(amiss) - meant else NEAR
         if not touched and moved - meant:
             return WRONG
-        if caught and not holding:
+        if grasping and caught and not holding:
             return DROPPED
-        if grasps and not caught:
+        if grasping and grasps and not caught:
             return MISSED
         if stalled is not None:
             return STALLED
@@ -124,6 +125,23 @@ def find_cause(
         caught=len(caught),
         off=min((grasp.off for grasp in grasps), default=None),
         holding=holding,
+    )
+
+
+def by_grasp(world: Environment, achieved: Array, body: Array, goal: Array, config: CausesConfig) -> bool:
+    """Whether in this attempt, a successful one, something that was to be moved went with the closed gripper."""
+    names = world.spec.achieved_names
+    change = thresholds(config.settling.change, names, "change")
+    hand, own = _Hand.of(world, body, config), things(names)
+    meant = _meant(world, achieved[0].astype(np.float64), goal.astype(np.float64), change)
+    return any(grasp.followed for thing in meant for grasp in hand.grasps(achieved, names, own[thing], change))
+
+
+def _meant(world: Environment, start: Array, goal: Array, change: Array) -> set[str]:
+    """The things that the goal shows elsewhere."""
+    own = things(world.spec.achieved_names)
+    return {thing for thing, k in own.items() if (np.abs(goal - start)[k] > change[k]).any()} | set(
+        misplaced(world, start, goal)
     )
 
 

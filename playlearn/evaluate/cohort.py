@@ -66,18 +66,20 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class CohortResult:
-    """tracks: episode -> what the first contender did, at the last goal it attempted. spec: of the world acted in."""
+    """tracks: contender -> episode -> what it did at the last goal it attempted. spec: of the world acted in."""
 
     attempts: tuple[Attempt, ...]
-    tracks: Mapping[int, Track]
+    tracks: Mapping[str, Mapping[int, Track]]
     renderer: str
     spec: EnvironmentSpec
 
 
 def run_cohort(
-    suite: SuiteConfig, episodes: Sequence[int], contenders: Sequence[Contender], expert: Expert
+    suite: SuiteConfig, episodes: Sequence[int], contenders: Sequence[Contender], expert: Expert, tracked: int = 1
 ) -> CohortResult:
-    """A pure function of its arguments: where and beside what it runs changes nothing.
+    """Attempts of all contenders, tracks of the first `tracked` of them.
+
+    A pure function of its arguments: where and beside what it runs changes nothing.
 
     What goes wrong in a contender's attempts counts as its failure; what goes wrong before is raised.
     """
@@ -89,12 +91,12 @@ def run_cohort(
         for episode in episodes
     ]
     attempts: list[Attempt] = []
-    tracks: dict[int, Track] = {}
+    tracks: dict[str, dict[int, Track]] = {}
     for place, actor in enumerate(actors):
         rows, seen = _attempt(suite, worlds, setups, actor, contenders[place].name)
         attempts += rows
-        if place == 0:
-            tracks = seen
+        if place < tracked:
+            tracks[contenders[place].name] = seen
     return CohortResult(tuple(attempts), tracks, _renderer(worlds[0]), worlds[0].spec)
 
 

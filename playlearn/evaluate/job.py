@@ -118,7 +118,7 @@ def _attempt(config: SuiteConfig, contenders: Sequence[Contender], expert: Exper
         for result in executor.run(jobs.values(), keep_going=True):
             if result.error is None:
                 gathered.attempts += result.value.attempts
-                gathered.tracks |= result.value.tracks
+                gathered.tracks |= result.value.tracks[contenders[0].name]
                 gathered.renderer, gathered.spec = result.value.renderer, result.value.spec
             elif isinstance(result.error, LostError):
                 cohort = jobs[result.key].kwargs["episodes"]
