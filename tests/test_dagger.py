@@ -237,6 +237,8 @@ def test_mistakes_are_found_before_anything_runs(run: Path, tmp_path: Path) -> N
     save_config(replace(SUITE, environment=PlayTableConfig()), tmp_path / "other.yaml")
     with pytest.raises(CheckpointError, match="another state"):
         go(described(run, practice=str(tmp_path / "other.yaml")), run, out)
+    with pytest.raises(CheckpointError, match="another state"):
+        go(described(run, suite=str(tmp_path / "other.yaml")), run, out)
     assert not out.exists()
     out.mkdir()
     (out / "mine").touch()

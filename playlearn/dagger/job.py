@@ -87,12 +87,12 @@ class _Job:
         self.suite = load_suite(config.practice)
         self.suite = replace(self.suite, kind=self.suite.kind.prepare(None))
         self.seed = derived_seed(_PRACTICE, config.seed)
-        judging = load_suite(config.suite or config.practice)
-        self.judged_seed = judging.seed if config.judged_seed is None else config.judged_seed
+        self.judging = load_suite(config.suite or config.practice)
+        self.judged_seed = self.judging.seed if config.judged_seed is None else config.judged_seed
         self.matched = _frames(config)
 
     def check(self) -> None:
-        """What can go wrong later is found now, in one world, before anything is written.
+        """What can go wrong later is found now, in a world or two, before anything is written.
 
         Raises:
             PlaylearnError: policy, expert, play and suite do not belong together.
@@ -107,6 +107,7 @@ class _Job:
         policy.check()
         environment = world(self.suite.environment)
         actor = mixed(self.practice(1, self.run), environment)
+        policy.build(world(self.judging.environment))
         self.expert(environment)  # where nobody can drive this world, that is said here
         if self.matched is not None:
             self.playing()
