@@ -144,4 +144,7 @@ def taught(
         schedule.step()
     seconds = time.process_time() - began
     model.head.updates = Head.updates
-    return model.eval(), {"train_core_seconds": round(seconds, 1), "parameters": sum(p.numel() for p in model.parameters())}
+    return model.eval(), {
+        "train_core_seconds": round(seconds, 1),
+        "parameters": sum(p.numel() for p in model.parameters()),
+    }

@@ -48,7 +48,7 @@ def plot(rows: Sequence[Row], path: Path) -> None:
     training.set(xlabel="training, core minutes")
     latency.barh(places, [row["latency_ms"]["p50"] for row in ordered], color=GREY, height=0.62)
     latency.plot([row["latency_ms"]["p95"] for row in ordered], places, "|", color="black")
-    latency.set(xlabel="one chunk, ms (p50; | p95)", xscale="log", xlim=(1, 200))
+    latency.set(xlabel="ms a chunk (| p95)", xscale="log", xlim=(1, 200))
     latency.set_xticks([1, 3, 10, 30, 100], ["1", "3", "10", "30", "100"])
     latency.minorticks_off()
     latency.axvline(PERIOD, color=AMBER, lw=1)
