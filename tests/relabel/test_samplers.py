@@ -108,6 +108,7 @@ NEAR = even(range(51, 56))  # a quarter of a second
 TENTHS = {50 + k: 0.9 ** (k - 1) * 0.1 / (1 - 0.9**250) for k in range(1, 251)}  # geometric, mean 10, cut after 250
 LAWS = [
     (FinalConfig(), {300: 1.0}),
+    (EndingConfig(), even(range(MOMENTS[-1], 301))),
     (FixedConfig(seconds=2.0), {90: 1.0}),
     (UniformConfig(horizon=0.25), NEAR),
     (UniformConfig(horizon=100.0), even(range(51, 301))),

@@ -47,7 +47,7 @@ RESULTS: dict[str, Any] = {
     "versions": {"playlearn": "0"},
     "revision": None,
     "policy": {"name": "policy", "type": "trained", "run": "runs/<script>alert(1)</script>"},
-    "config": {"hold": 5, "max_steps": 60},
+    "config": {"hold": 5, "max_steps": 60, "kind": {"type": "tasks"}},
     "seconds": 12.0,
 }
 CURVES = {"policy": [0.0, 0.2, 0.46], "expert": [0.0, 0.5, 1.0], "random": [0.0, 0.0, 0.08]}

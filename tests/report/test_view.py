@@ -142,7 +142,7 @@ def evaluation(tmp_path: Path) -> Path:
         "versions": {},
         "revision": None,
         "policy": {"name": "pupil"},
-        "config": {"hold": 1, "max_steps": 10},
+        "config": {"hold": 1, "max_steps": 10, "kind": {"type": "tasks"}},
         "seconds": 1.0,
         "achieved_names": ["red.x", "red.y"],
     }
