@@ -98,7 +98,7 @@ class DataConfig:
     settling: SettlingConfig = field(default_factory=SettlingConfig)
     goal_names: tuple[str, ...] = ("*",)
     history: int = 1
-    chunk: int = 16
+    chunk: int = 8
     cameras: tuple[str, ...] = ()
     goal_cameras: tuple[str, ...] = ()
     heldout_share: float = 0.05

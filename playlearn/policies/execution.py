@@ -56,7 +56,7 @@ class PolicyActor:
     def __init__(
         self,
         policy: Policy,
-        execute: int = 8,
+        execute: int = 4,
         guidance: float | None = None,
         ensemble: float | None = None,
         name: str = "policy",

@@ -40,7 +40,7 @@ class PolicyConfig:
     trunk: TrunkConfig = field(default_factory=TransformerConfig)
     head: HeadConfig = field(default_factory=DeterministicConfig)
     history: int = 1
-    chunk: int = 16
+    chunk: int = 8
     goal_dropout: float = 0.1
     history_dropout: float = 0.0
     proprio_dropout: float = 0.0
