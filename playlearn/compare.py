@@ -8,7 +8,7 @@ with nothing else of ours running.
 import contextlib
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -138,9 +138,9 @@ def _one(training: TrainConfig, folder: Path, compare: CompareConfig) -> Row:
     folder.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)
     with (folder.parent / f"{folder.name}.log").open("a") as log, contextlib.redirect_stderr(log):
-        began = time.process_time()
-        train(training, folder, resume=(folder / "config.yaml").is_file())
-        core_seconds = time.process_time() - began
+        began, resumed = time.process_time(), (folder / "config.yaml").is_file()
+        train(training, folder, resume=resumed)
+        core_seconds = None if resumed else round(time.process_time() - began, 1)  # of an interrupted one: not known
         results = evaluate(
             compare.suite,
             run=folder,
@@ -159,7 +159,7 @@ def _one(training: TrainConfig, folder: Path, compare: CompareConfig) -> Row:
         "parameters": json.loads((folder / "run.json").read_text())["parameters"],
         "updates": metrics[-1]["step"],
         "train_seconds": metrics[-1]["seconds"],
-        "train_core_seconds": round(core_seconds, 1),
+        "train_core_seconds": core_seconds,
         "eval_seconds": results["seconds"],
         "heldout_action_error": heldout[-1] if heldout else None,
     }
@@ -175,7 +175,6 @@ def _gather(name: str, rows: Sequence[Row], latency: Mapping[str, float]) -> Row
         task: float(np.mean([row["tasks"][task]["success_rate"] for row in rows if task in row["tasks"]]))
         for task in sorted({task for row in rows for task in row["tasks"]})
     }
-    errors = [row["heldout_action_error"] for row in rows if row["heldout_action_error"] is not None]
     return {
         "variant": name,
         "success_rate": reached / episodes,
@@ -185,11 +184,17 @@ def _gather(name: str, rows: Sequence[Row], latency: Mapping[str, float]) -> Row
         "crashed": sum(row["crashed"] for row in rows),
         "parameters": rows[0]["parameters"],
         "updates": rows[0]["updates"],
-        "train_core_seconds": float(np.mean([row["train_core_seconds"] for row in rows])),
-        "heldout_action_error": float(np.mean(errors)) if errors else None,
+        "train_core_seconds": _mean(row["train_core_seconds"] for row in rows),
+        "heldout_action_error": _mean(row["heldout_action_error"] for row in rows),
         "latency_ms": dict(latency),
         "tasks": tasks,
     }
+
+
+def _mean(values: Iterable[float | None]) -> float | None:
+    """Of those that are known."""
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
 
 
 def _latency(path: Path) -> dict[str, float]:

@@ -19,7 +19,7 @@ from playlearn.config import atomic_write, from_dict, to_dict, versions
 from playlearn.data import DataConfig, PlayDataset
 from playlearn.episode import read_annotation
 from playlearn.errors import PlaylearnError, UsageError
-from playlearn.evaluate import Contender, Expert, SuiteConfig, Trained, load_suite
+from playlearn.evaluate import Contender, Expert, SuiteConfig, Trained, load_suite, scripted
 from playlearn.evaluate.causes import CAUSES, ENDED, CausesConfig, Finding, by_grasp, find_cause
 from playlearn.evaluate.cohort import Attempt, Track, lost, run_cohort, world_of
 from playlearn.evaluate.results import ends, summary
@@ -76,7 +76,7 @@ def diagnose(
     config = replace(config, kind=config.kind.prepare(run))
     policy = Trained(run, goal, config.execute, config.guidance)
     policy.check()
-    teacher = Expert(expert or _expert_of_the_environment())
+    teacher = Expert(expert or scripted)
     causes = causes or CausesConfig()
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -307,9 +307,3 @@ def _strips(
 def draw_strip(suite: SuiteConfig, track: Track) -> bytes:
     """The film strip of an attempt, drawn by the worker that this runs in."""
     return strip(world_of(suite), track.states, track.goal_state, suite.camera)
-
-
-def _expert_of_the_environment() -> Callable[[Environment], Actor]:
-    from playlearn.teleop import expert_for
-
-    return expert_for

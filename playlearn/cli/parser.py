@@ -84,13 +84,7 @@ def _parser() -> argparse.ArgumentParser:
     who = made.add_mutually_exclusive_group(required=True)
     who.add_argument("--run", type=Path, metavar="RUN", help="the folder of a training run")
     who.add_argument("--policy", choices=("expert", "random"), help="a reference instead of a trained policy")
-    made.add_argument("--suite", type=Path, required=True, metavar="FILE", help="eval/suites/NAME.yaml")
-    made.add_argument("--goal", choices=("image", "state"), required=True, help="how the goal is shown")
-    made.add_argument("--out", type=Path, required=True, metavar="DIR", help="results.json and report.html go here")
-    made.add_argument("--episodes", type=_count, metavar="N", help="episodes in all, instead of the suite's own")
-    _workers(made)
-    made.add_argument("--seed", type=int, metavar="S", help="instead of the suite's own")
-    _json(made)
+    _judged(made, "results.json and report.html")
 
     words = "let a policy practise under an expert's eyes, and train it further, in rounds"
     made = verb(commands.dagger, "dagger", words, free=True, kept=kept)
@@ -102,13 +96,7 @@ def _parser() -> argparse.ArgumentParser:
 
     made = verb(commands.diagnose, "diagnose", "say why a policy fails on a suite, with pictures", free=True)
     made.add_argument("--run", type=Path, required=True, metavar="RUN", help="the folder of a training run")
-    made.add_argument("--suite", type=Path, required=True, metavar="FILE", help="eval/suites/NAME.yaml")
-    made.add_argument("--goal", choices=("image", "state"), required=True, help="how the goal is shown")
-    made.add_argument("--out", type=Path, required=True, metavar="DIR", help="diagnosis.json and .html go here")
-    made.add_argument("--episodes", type=_count, metavar="N", help="episodes in all, instead of the suite's own")
-    _workers(made)
-    made.add_argument("--seed", type=int, metavar="S", help="instead of the suite's own")
-    _json(made)
+    _judged(made, "diagnosis.json and .html")
 
     made = verb(commands.export, "export", "write a store in a format that others read")
     made.add_argument("format", choices=("lerobot",))
@@ -124,8 +112,8 @@ def _parser() -> argparse.ArgumentParser:
     _workers(made)
     _json(made)
 
-    made = verb(commands.bench, "bench", "measure speed beside robosuite and beside the limit, in one run")
-    made.add_argument("name", nargs="*", metavar="NAME", help="sim, render, collect, grow (default: all)")
+    made = verb(commands.bench, "bench", "measure speed beside robosuite, LeRobot and the limit, in one run")
+    made.add_argument("name", nargs="*", metavar="NAME", help="sim, render, collect, grow, train, data (default: all)")
     made.add_argument("--out", type=Path, metavar="DIR", help="write compared images here")
     made.add_argument("--quick", action="store_true", help="seconds instead of minutes; the figures say little")
     _json(made)
@@ -154,6 +142,17 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
 def _config(parser: argparse.ArgumentParser, example: str) -> None:
     parser.add_argument("--config", type=Path, required=True, metavar="FILE", help=example)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="the folder to write")
+
+
+def _judged(parser: argparse.ArgumentParser, left: str) -> None:
+    """What a policy is judged on; `left`: the files that are written."""
+    parser.add_argument("--suite", type=Path, required=True, metavar="FILE", help="eval/suites/NAME.yaml")
+    parser.add_argument("--goal", choices=("image", "state"), required=True, help="how the goal is shown")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help=f"{left} go here")
+    parser.add_argument("--episodes", type=_count, metavar="N", help="episodes in all, instead of the suite's own")
+    _workers(parser)
+    parser.add_argument("--seed", type=int, metavar="S", help="instead of the suite's own")
+    _json(parser)
 
 
 def _workers(parser: argparse.ArgumentParser) -> None:

@@ -29,7 +29,7 @@ from playlearn.dagger.practise import Make, Practice, mixed, practise
 from playlearn.dagger.results import judged, line, plot, practised
 from playlearn.data import DataConfig
 from playlearn.errors import PlaylearnError, UsageError
-from playlearn.evaluate import Trained, evaluate, load_suite
+from playlearn.evaluate import Trained, evaluate, load_suite, scripted
 from playlearn.evaluate.suite import derived_seed, goal_from
 from playlearn.mixed import Source
 from playlearn.policies import Policy
@@ -58,7 +58,7 @@ def dagger(
         CheckpointError: there is no such run, or the suites are not of its world.
         PlaylearnError: the expert brought no episode of a round to its goal.
     """
-    job = _Job(config, run, out, workers, expert or _expert_of_the_environment())
+    job = _Job(config, run, out, workers, expert or scripted)
     job.check()
     _claim(config, run, out, resume=resume)
     rows = [job.start()]
@@ -301,9 +301,3 @@ def _claim(config: DaggerConfig, run: Path, out: Path, *, resume: bool) -> None:
 def _read(path: Path) -> dict[str, Any]:
     value: dict[str, Any] = json.loads(path.read_text())
     return value
-
-
-def _expert_of_the_environment() -> Make:
-    from playlearn.teleop import expert_for
-
-    return expert_for

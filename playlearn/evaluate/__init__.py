@@ -2,7 +2,7 @@
 
 import playlearn.tasks  # noqa: F401  so that a suite can name any world
 from playlearn.evaluate.chains import ChainsConfig
-from playlearn.evaluate.contenders import Contender, Expert, Random, Trained
+from playlearn.evaluate.contenders import Contender, Expert, Random, Trained, scripted
 from playlearn.evaluate.far import FarConfig
 from playlearn.evaluate.heldout import HeldoutConfig
 from playlearn.evaluate.job import evaluate
@@ -23,4 +23,5 @@ __all__ = [
     "Trained",
     "evaluate",
     "load_suite",
+    "scripted",
 ]

@@ -5,11 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-import numpy as np
-
 from playlearn.episode import Array
 from playlearn.errors import PlaylearnError, UsageError
-from playlearn.evaluate.demonstrate import DRAWS, Demonstration, achieved_now, names_of
+from playlearn.evaluate.demonstrate import DRAWS, Demonstration, beginnings, names_of
 from playlearn.evaluate.suite import Judge, Setup, SuiteKind, derived_seed
 from playlearn.rollout import Actor
 from playlearn.sim.environment import Environment
@@ -55,12 +53,7 @@ class ChainsConfig(SuiteKind):
         names = names_of(environment, self.tasks)
         demonstration = Demonstration(self.rest, self.rest_seconds)
         longest = 0
-        for draw in range(DRAWS):
-            rng = np.random.default_rng((seed, episode, draw))
-            environment.reset(int(rng.integers(2**31)))
-            if environment.failure() is not None:
-                continue
-            start, start_achieved = np.array(environment.sim_state()), achieved_now(environment)
+        for draw, rng, start, start_achieved in beginnings(environment, seed, episode):
             links = demonstration.sequence(environment.clone(), expert, names, self.links, rng, max_steps, cameras)
             longest = max(longest, len(links))
             if len(links) < self.links:

@@ -37,6 +37,14 @@ class Contender(Protocol):
         ...
 
 
+def scripted(environment: Environment) -> Actor:
+    """The environment's own scripted expert; raises UsageError where it has none."""
+    # Seconds to import: only who asks it pays.
+    from playlearn.teleop import expert_for
+
+    return expert_for(environment)
+
+
 @dataclass(frozen=True)
 class Expert:
     """The environment's scripted expert, as `make(environment)` builds it."""

@@ -1,7 +1,7 @@
 """What goals are made from: the expert does named tasks, one or several in a row, and is seen to have done them."""
 
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,6 +81,17 @@ class Demonstration:
             else:
                 break
         return links
+
+
+def beginnings(
+    environment: Environment, seed: int, episode: int
+) -> Iterator[tuple[int, np.random.Generator, Array, Array]]:
+    """Sound start states of an episode, to be tried in turn: which draw, its generator, sim state, achieved (G,)."""
+    for draw in range(DRAWS):
+        rng = np.random.default_rng((seed, episode, draw))
+        environment.reset(int(rng.integers(2**31)))
+        if environment.failure() is None:
+            yield draw, rng, np.array(environment.sim_state()), achieved_now(environment)
 
 
 def names_of(environment: Environment, wanted: Sequence[str] | None) -> tuple[str, ...]:

@@ -5,11 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-import numpy as np
-
 from playlearn.episode import Array
 from playlearn.errors import PlaylearnError, UsageError
-from playlearn.evaluate.demonstrate import DRAWS, Demonstration, achieved_now, names_of
+from playlearn.evaluate.demonstrate import DRAWS, Demonstration, beginnings, names_of
 from playlearn.evaluate.suite import Judge, Link, Setup, SuiteKind, derived_seed
 from playlearn.evaluate.things import misplaced
 from playlearn.rollout import Actor
@@ -49,12 +47,7 @@ class FarConfig(SuiteKind):
         names = names_of(environment, self.tasks)
         demonstration = Demonstration(self.rest, self.rest_seconds)
         changes = self.changes[episode % len(self.changes)]
-        for draw in range(DRAWS):
-            rng = np.random.default_rng((seed, episode, draw))
-            environment.reset(int(rng.integers(2**31)))
-            if environment.failure() is not None:
-                continue
-            start, start_achieved = np.array(environment.sim_state()), achieved_now(environment)
+        for draw, rng, start, start_achieved in beginnings(environment, seed, episode):
             links = demonstration.sequence(environment.clone(), expert, names, changes, rng, max_steps, cameras)
             if len(links) < changes or not _all_shown(environment, start_achieved, links):
                 continue

@@ -11,7 +11,7 @@ from playlearn.config import atomic_write, git_revision, to_dict, versions
 from playlearn.config.schema import nearest
 from playlearn.errors import PlaylearnError, UsageError
 from playlearn.evaluate.cohort import Attempt, Track, draw_track, lost, run_cohort
-from playlearn.evaluate.contenders import Contender, Expert, Random, Trained
+from playlearn.evaluate.contenders import Contender, Expert, Random, Trained, scripted
 from playlearn.evaluate.results import by_policy, curve, ends, parquet, summary, to_film, to_show
 from playlearn.evaluate.suite import SuiteConfig, load_suite
 from playlearn.executor import Executor, Job, LocalExecutorConfig, LostError
@@ -57,7 +57,7 @@ def evaluate(
     given = {"episodes": episodes, "seed": seed}
     config = load_suite(suite, [*overrides, *(f"--{k}={v}" for k, v in given.items() if v is not None)])
     config = replace(config, kind=config.kind.prepare(run))
-    teacher = Expert(expert or _expert_of_the_environment())
+    teacher = Expert(expert or scripted)
     contenders = _contenders(config, run, policy, goal, teacher, references=references)
     executor = LocalExecutorConfig(workers=workers).build()
     _make(out)
@@ -173,12 +173,6 @@ def _contenders(
         return [trained, *(known.values() if references else ())]
     judged = known.pop(str(policy))
     return [judged, *(known.values() if references else ())]
-
-
-def _expert_of_the_environment() -> Callable[[Environment], Actor]:
-    from playlearn.teleop import expert_for
-
-    return expert_for
 
 
 def _make(out: Path) -> None:

@@ -35,8 +35,8 @@ class SettlingConfig:
     moments: leave the thresholds to the data where the world was sensed.
     """
 
-    change: Thresholds = field(default_factory=lambda: {"default": 0.015, "*.c": 0.15, "*.s": 0.15, "lamp*": 0.5})
-    rest: Thresholds = field(default_factory=lambda: {"default": 0.004, "*.c": 0.05, "*.s": 0.05, "lamp*": 0.5})
+    change: Thresholds = field(default_factory=lambda: {"default": 0.015, "*.c": 0.15, "*.s": 0.15, "*.on": 0.5})
+    rest: Thresholds = field(default_factory=lambda: {"default": 0.004, "*.c": 0.05, "*.s": 0.05, "*.on": 0.5})
     rest_seconds: float = 0.3
     source: Literal["achieved", "robot"] = "achieved"
     robot: RobotConfig = field(default_factory=RobotConfig)

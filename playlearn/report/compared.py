@@ -22,9 +22,14 @@ def table(rows: Sequence[Row]) -> str:
         lines.append(
             f"| {row['variant']} | **{100 * row['success_rate']:.0f} %** of {row['episodes']} "
             f"| {100 * low:.0f} to {100 * high:.0f} | {seeds} | {row['parameters'] / 1e6:.2f} M "
-            f"| {row['train_core_seconds']:.0f} | {latency['p50']:.1f}, {latency['p95']:.1f} |"
+            f"| {_known(row['train_core_seconds'])} | {latency['p50']:.1f}, {latency['p95']:.1f} |"
         )
     return "\n".join(lines) + "\n"
+
+
+def _known(seconds: float | None) -> str:
+    """Of a training that was interrupted they are not."""
+    return "not known" if seconds is None else f"{seconds:.0f}"
 
 
 def plot(rows: Sequence[Row], path: Path) -> None:
@@ -44,7 +49,7 @@ def plot(rows: Sequence[Row], path: Path) -> None:
         reached.plot([100 * rate for rate in row["by_seed"]], [place] * len(row["by_seed"]), ".", color=AMBER, ms=5)
     reached.set(xlim=(0, 100), xlabel="goals reached, % (95 % interval; a dot a seed)")
     reached.set_yticks(list(places), [row["variant"] for row in ordered])
-    training.barh(places, [row["train_core_seconds"] / 60 for row in ordered], color=GREY, height=0.62)
+    training.barh(places, [(row["train_core_seconds"] or 0) / 60 for row in ordered], color=GREY, height=0.62)
     training.set(xlabel="training, core minutes")
     latency.barh(places, [row["latency_ms"]["p50"] for row in ordered], color=GREY, height=0.62)
     latency.plot([row["latency_ms"]["p95"] for row in ordered], places, "|", color="black")
