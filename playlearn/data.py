@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 import torch
@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 
 from playlearn.episode import IMAGES, Array
 from playlearn.errors import StoreError, UsageError
-from playlearn.relabel import UNIFORMS, GoalSamplerConfig, SettledConfig, SettlingConfig, Table, leads_to_failure
+from playlearn.relabel import (
+    UNIFORMS,
+    GoalSamplerConfig,
+    SettledConfig,
+    SettlingConfig,
+    Table,
+    counter_uniforms,
+    leads_to_failure,
+)
 from playlearn.store import Store
 
 Indices = NDArray[np.int64]
@@ -32,7 +40,8 @@ class Batch:
     history_mask (B, T) bool: False where it was repeated.
     goal_achieved (B, G) float32, goal_state (B, S) float32, goal_images camera -> (B, h, w, 3) uint8: the goal's
         observation; the state is the arm's, for goals that speak of it too.
-    action (B, H, A) float32: the labels of the steps t ... t+H-1; the last is repeated past the end.
+    action (B, H, A) float32: the labels of the steps t ... t+H-1, the last repeated past the end; or the change, H = 1
+        and A = G (see `DataConfig.labels`).
     action_mask (B, H) bool: False past the end, past a mistake, and past the goal where the dataset was told so.
     steps_to_goal (B,) int64: how many actions lie between t and the goal; 0 where none leads there (a goal of
         another episode, or of the past).
@@ -92,6 +101,8 @@ class DataConfig:
     stray: a chunk ends with the first step at which what was executed strayed from its label by more
         than this in some dimension (a mistake, a pause, a slip): the labels after it answer to another
         world than the one that executing the labels would have led to.
+    labels: `actions`, what was done next; `change`, how the world will differ at the next settled moment, in place of
+        actions and as a chunk of 1: what a policy learns that proposes subgoals.
     """
 
     goals: GoalSamplerConfig = field(default_factory=SettledConfig)
@@ -106,6 +117,7 @@ class DataConfig:
     balance: float = 0.0
     failures: float = 1.0
     stray: float = 0.5
+    labels: Literal["actions", "change"] = "actions"
 
     def build(self, store: Store, split: str, seed: int) -> "PlayDataset":
         """The dataset of one split, "train" or "heldout"."""
@@ -143,6 +155,8 @@ class PlayDataset:
         episode = np.repeat(np.arange(len(lengths)), lengths)
         t = np.arange(len(episode)) - self.table.starts[episode]
         usable = self._sampler.valid(self.table, episode, t) & self._kept(t)
+        if config.labels == "change":
+            usable &= self.table.following(episode, t) < self.table.offsets[episode + 1]
         if not usable.any():
             raise StoreError(
                 f"{store.name()}: no {split} step has a goal to draw ({len(lengths)} episodes, {len(t)} steps); "
@@ -164,6 +178,10 @@ class PlayDataset:
         """(n,) the goal observation of each example in an epoch, counted from its episode's first (see GoalSampler)."""
         uniforms = counter_uniforms(self.seed, epoch, indices, UNIFORMS)
         return self._sampler.draw(self.table, self._episode[indices], self._t[indices], uniforms)
+
+    def labels(self) -> Array:
+        """(m, A) all that is learned: the recorded labels, or the change ahead of each example."""
+        return self._change(self._episode, self._t) if self.config.labels == "change" else self.action
 
     def epoch_indices(self, epoch: int) -> Indices:
         """(n,) the examples of an epoch in their order; each once, or as `balance` draws them."""
@@ -201,6 +219,9 @@ class PlayDataset:
         goal_row = self.table.rows[episode] + goal
         shown = np.searchsorted(self.table.rows, goal_row, side="right") - 1  # the goal's episode
         goals = (goal_row - self.table.rows[shown])[:, None]
+        action, counts = self.action.take(labels, axis=0), ahead < limit[:, None]
+        if config.labels == "change":
+            action, counts = self._change(episode, t)[:, None], np.ones((len(t), 1), np.bool_)
         return Batch(  # `take` is up to 20 times as quick as brackets, where rows are short
             state=torch.from_numpy(self.state.take(rows, axis=0)),
             achieved=torch.from_numpy(self.achieved.take(rows, axis=0)),
@@ -209,8 +230,8 @@ class PlayDataset:
             goal_achieved=torch.from_numpy(self.achieved.take(goal_row, axis=0)),
             goal_state=torch.from_numpy(self.state.take(goal_row, axis=0)),
             goal_images={camera: self._frames(camera, shown, goals)[:, 0] for camera in config.goal_cameras},
-            action=torch.from_numpy(self.action.take(labels, axis=0)),
-            action_mask=torch.from_numpy(ahead < limit[:, None]),
+            action=torch.from_numpy(action),
+            action_mask=torch.from_numpy(counts),
             steps_to_goal=torch.from_numpy(np.where(leads, goal - t, 0)),
         )
 
@@ -248,6 +269,13 @@ class PlayDataset:
             recorded = self.store.array(int(self.episodes[episode[mine[0]]]), IMAGES + camera)
             frames[mine] = recorded[rows[mine]]
         return torch.from_numpy(frames)
+
+    def _change(self, episode: Indices, t: Indices) -> Array:
+        """(n, G) float32: `achieved` of the next settled moment less that of step t."""
+        row = self.table.rows[episode]
+        settled = self.table.moments[self.table.following(episode, t)]
+        change: Array = self.achieved[row + settled] - self.achieved[row + t]
+        return change
 
     def _last_of_chunk(self, executed: Sequence[Array]) -> Indices:
         """(sum T,) the last step t' >= t whose label still follows from executing the labels from t on."""
@@ -313,8 +341,14 @@ def prepared_ahead(make: Callable[[int], Batch], start_step: int) -> Iterator[Ba
 
 
 def statistics(dataset: PlayDataset) -> dict[str, Statistics]:
-    """Of `state`, `achieved` and `action` over every recorded row of the dataset's episodes."""
-    return {name: _statistics(getattr(dataset, name)) for name in ("state", "achieved", "action")}
+    """Of `state`, `achieved` and `action` over every recorded row of the dataset's episodes.
+
+    A change is measured by the spread of what changes: its own would be next to nothing where change is rare.
+    """
+    made = {name: _statistics(getattr(dataset, name)) for name in ("state", "achieved", "action")}
+    if dataset.config.labels == "change":
+        made["action"] = dataclasses.replace(made["achieved"], mean=np.zeros_like(made["achieved"].mean))
+    return made
 
 
 def heldout_episodes(indices: Indices, share: float) -> NDArray[np.bool_]:
@@ -328,24 +362,6 @@ def heldout_episodes(indices: Indices, share: float) -> NDArray[np.bool_]:
     block = max(1, round(1 / share))
     drawn = (counter_uniforms(0, 0, indices // block, 1)[:, 0] * block).astype(np.int64)
     return np.asarray(indices % block == np.where(indices < block, 0, drawn))
-
-
-def counter_uniforms(seed: int, epoch: int | Indices, indices: Indices, columns: int) -> NDArray[np.float64]:
-    """(n, columns) independent numbers in [0, 1), each a hash of its own (seed, epoch, index, column).
-
-    SplitMix64 (Steele, Lea and Flood, 2014) applied once for each of them.
-    """
-    hashed: NDArray[np.uint64] = np.full((len(indices), columns), seed & 0xFFFFFFFFFFFFFFFF, np.uint64)
-    for part in (np.broadcast_to(epoch, indices.shape)[:, None], indices[:, None], np.arange(columns)[None]):
-        hashed = _mix(hashed ^ (part.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)))
-    return np.asarray((hashed >> np.uint64(11)).astype(np.float64) * 2.0**-53)
-
-
-def _mix(z: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    z = z + np.uint64(0x9E3779B97F4A7C15)
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return z ^ (z >> np.uint64(31))
 
 
 def _statistics(rows: Array) -> Statistics:
@@ -363,6 +379,8 @@ def _check(config: DataConfig, split: str) -> None:
     for name, value in {"history": config.history, "chunk": config.chunk}.items():
         if value < 1:
             raise UsageError(f"data.{name} must be at least 1, got {value}")
+    if config.labels == "change" and config.chunk != 1:
+        raise UsageError(f"data.labels: a change is one label, so set policy.chunk to 1 (it is {config.chunk})")
     if not config.stray > 0:
         raise UsageError(f"data.stray must be above 0, got {config.stray}")
     for name in ("heldout_share", "balance", "failures"):

@@ -19,7 +19,7 @@ from playlearn.config import atomic_write, from_dict, to_dict, versions
 from playlearn.data import DataConfig, PlayDataset
 from playlearn.episode import read_annotation
 from playlearn.errors import PlaylearnError, UsageError
-from playlearn.evaluate import Contender, Expert, SuiteConfig, Trained, load_suite, scripted
+from playlearn.evaluate import Contender, Expert, SuiteConfig, load_suite, scripted, trained
 from playlearn.evaluate.causes import CAUSES, ENDED, CausesConfig, Finding, by_grasp, find_cause
 from playlearn.evaluate.cohort import Attempt, Track, lost, run_cohort, world_of
 from playlearn.evaluate.results import ends, summary
@@ -74,7 +74,7 @@ def diagnose(
     given = {"episodes": episodes, "seed": seed}
     config = load_suite(suite, [*overrides, *(f"--{k}={v}" for k, v in given.items() if v is not None)])
     config = replace(config, kind=config.kind.prepare(run))
-    policy = Trained(run, goal, config.execute, config.guidance)
+    policy = trained(run, goal, config)
     policy.check()
     teacher = Expert(expert or scripted)
     causes = causes or CausesConfig()

@@ -80,6 +80,8 @@ class TrainConfig:
                 raise UsageError(f"{name} must be above 0, got {getattr(self, name)}")
         if self.max_minutes is not None and self.max_minutes <= 0:
             raise UsageError(f"max_minutes must be above 0 or null, got {self.max_minutes}")
+        if self.corrections is not None and self.data.labels == "change":
+            raise UsageError("corrections teach actions: leave them out where data.labels is change")
         if not 0 <= self.ema_decay < 1:
             raise UsageError(f"ema_decay must be in [0, 1), got {self.ema_decay}")
 
@@ -136,13 +138,15 @@ class _Run:
         )
         self.data = config.data.build(store, "train", config.seed)
         self.heldout = _heldout(config, store)
+        changes = config.data.labels == "change"
         self.spec = PolicySpec(
             state_names=store.spec.state_names,
             achieved_names=store.spec.achieved_names,
-            action_names=store.spec.action_names,
+            action_names=store.spec.achieved_names if changes else store.spec.action_names,
             fps=store.spec.fps,
             cameras={camera: (int(h), int(w)) for camera, (h, w) in store.cameras().items()},
             controller=store.meta(0).controller,
+            predicts=config.data.labels,
         )
         self.examples = mix(self.data, config.more, config.seed)
         policy = self._begun()
@@ -163,7 +167,7 @@ class _Run:
         config = self.config
         if config.init is None:
             policy = config.policy.build(self.spec, statistics(self.data), config.seed)
-            policy.fit(torch.as_tensor(self.data.action))
+            policy.fit(torch.as_tensor(self.data.labels()))
             return policy
         policy = Policy.load(config.init / "policy")
         if policy.config != config.policy:

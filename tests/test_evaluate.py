@@ -21,7 +21,7 @@ from playlearn.evaluate.cohort import CohortResult, run_cohort
 from playlearn.evaluate.job import _attempt
 from playlearn.evaluate.results import curve, summary
 from playlearn.executor import InProcessExecutor, Job, LostError, Result
-from playlearn.policies import PolicyConfig, PolicySpec
+from playlearn.policies import PolicyActor, PolicyConfig, PolicySpec
 from playlearn.policies.encoders import CNNConfig
 from playlearn.rollout import Actor, rollout
 from playlearn.sim.environment import Environment
@@ -325,6 +325,28 @@ def test_a_policy_of_another_robot_is_refused(tmp_path: Path) -> None:
     PolicyConfig(chunk=8).build(other, None, seed=0).save(tmp_path / "run" / "policy")
     with pytest.raises(CheckpointError, match="controller type OSC_POSE, this suite's environment has VELOCITY"):
         Trained(tmp_path / "run", "state").build(PointWorld(PointConfig()))
+
+
+def test_subgoals_lead_a_policy(tmp_path: Path, run: Path) -> None:
+    """A proposer of no change shows the policy where things are, not the goal; the results name both."""
+    proposes = replace(spec(), action_names=spec().achieved_names, predicts="change")
+    proposer = PolicyConfig(chunk=1).build(proposes, None, seed=0)
+    for parameter in proposer.head.parameters():
+        parameter.data.zero_()
+    proposer.save(tmp_path / "proposer" / "policy")
+    shown: list[Goal] = []
+    arguments: dict[str, Any] = {"goal": "state", "workers": 0, "expert": point_expert, "references": False}
+    suite, given = write(SUITE, tmp_path), [f"--subgoals={tmp_path / 'proposer'}"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(PolicyActor, "show", lambda self, row, goal: shown.append(goal))
+        results = evaluate(suite, run=run, out=tmp_path / "out", episodes=2, overrides=given, **arguments)
+    assert results["policy"]["subgoals"]["run"] == str(tmp_path / "proposer")
+    table = pq.read_table(tmp_path / "out" / "episodes.parquet").to_pylist()
+    assert sorted(goal.achieved.tolist() for goal in shown[:2]) == sorted(row["start_achieved"] for row in table)
+    with pytest.raises(UsageError, match="proposes subgoals and does not act: name it as --subgoals"):
+        evaluate(suite, run=tmp_path / "proposer", out=tmp_path / "no", **arguments)
+    with pytest.raises(UsageError, match="acts, it proposes no subgoals"):
+        evaluate(suite, run=run, out=tmp_path / "no", overrides=[f"--subgoals={run}"], **arguments)
 
 
 @pytest.mark.parametrize("name", ["playtable_tasks", "playtable_heldout"])

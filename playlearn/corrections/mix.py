@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from playlearn.data import Batch, Indices, PlayDataset, Recorded, counter_uniforms
+from playlearn.data import Batch, Indices, PlayDataset, Recorded
 from playlearn.episode import IMAGES, Array
 from playlearn.errors import StoreError
+from playlearn.relabel import counter_uniforms
 from playlearn.store import episode_path
 from playlearn.store.tensors import map_tensors, read_header
 

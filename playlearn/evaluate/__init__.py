@@ -2,7 +2,7 @@
 
 import playlearn.tasks  # noqa: F401  so that a suite can name any world
 from playlearn.evaluate.chains import ChainsConfig
-from playlearn.evaluate.contenders import Contender, Expert, Random, Trained, scripted
+from playlearn.evaluate.contenders import Contender, Expert, Random, Stepwise, Trained, scripted, trained
 from playlearn.evaluate.far import FarConfig
 from playlearn.evaluate.heldout import HeldoutConfig
 from playlearn.evaluate.job import evaluate
@@ -17,6 +17,7 @@ __all__ = [
     "HeldoutConfig",
     "Random",
     "Setup",
+    "Stepwise",
     "SuiteConfig",
     "SuiteKind",
     "TasksConfig",
@@ -24,4 +25,5 @@ __all__ = [
     "evaluate",
     "load_suite",
     "scripted",
+    "trained",
 ]

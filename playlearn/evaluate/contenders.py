@@ -8,12 +8,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 from playlearn.config import to_dict
 from playlearn.errors import CheckpointError, UsageError
+from playlearn.evaluate.suite import SuiteConfig
 from playlearn.policies import Policy
 from playlearn.policies.execution import PolicyActor
+from playlearn.policies.subgoals import SubgoalActor
 from playlearn.rollout import Actor, RandomActor
 from playlearn.sim.environment import Environment
 
@@ -83,6 +85,7 @@ class Trained:
     """A policy that `playlearn train` left in `run`, shown its goal as `goal` ("image" or "state").
 
     execute: actions of a chunk carried out before it plans again (null: half of them). guidance: weight of the goal.
+    predicts: what it must have learned to say.
     """
 
     run: Path
@@ -90,17 +93,21 @@ class Trained:
     execute: int | None = None
     guidance: float | None = None
     name: str = "policy"
+    predicts: Literal["actions", "change"] = "actions"
 
     def check(self) -> None:
         """What can be checked without a simulator.
 
         Raises:
             CheckpointError: no policy there, or not a whole one.
-            UsageError: it does not read goals of this modality.
+            UsageError: it says something else, or does not read goals of this modality.
         """
         if not self.run.is_dir():
             raise CheckpointError(f"there is no run at {self.run}; make one with: playlearn train --out {self.run}")
-        reads = load_policy(self.run / "policy").config.encoder.goals
+        policy = load_policy(self.run / "policy")
+        if policy.spec.predicts != self.predicts:
+            raise UsageError(f"{self.run} {_OTHERWISE[self.predicts]}")
+        reads = policy.config.encoder.goals
         if self.goal not in reads:
             raise UsageError(f"{self.run} reads its goal from {_ARTICLE[reads[0]]}: use --goal {reads[0]}")
 
@@ -129,6 +136,50 @@ class Trained:
 
     def _execute(self, policy: Policy) -> int:
         return max(1, policy.config.chunk // 2) if self.execute is None else self.execute
+
+
+_OTHERWISE = {
+    "actions": "proposes subgoals and does not act: name it as --subgoals, beside a --run that acts",
+    "change": "acts, it proposes no subgoals: train one that does as configs/train/playtable_state_subgoals.yaml does",
+}
+
+
+@dataclass(frozen=True)
+class Stepwise:
+    """A trained policy that is led to its goal by subgoals, each for `seconds` at most (see `SubgoalActor`).
+
+    worker: reads states. proposer: is shown the goal.
+    """
+
+    worker: Trained
+    proposer: Trained
+    seconds: float
+    name: str = "policy"
+
+    def check(self) -> None:
+        """See `Trained.check`."""
+        self.worker.check()
+        self.proposer.check()
+
+    def cameras(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys((*self.worker.cameras(), *self.proposer.cameras())))
+
+    def build(self, environment: Environment) -> SubgoalActor:
+        steps = max(1, round(self.seconds * environment.spec.fps))
+        return SubgoalActor(
+            self.worker.build(environment), self.proposer.build(environment), environment.reached, steps
+        )
+
+    def describe(self) -> dict[str, Any]:
+        return {**self.worker.describe(), "subgoals": self.proposer.describe(), "subgoal_seconds": self.seconds}
+
+
+def trained(run: Path, goal: str, suite: SuiteConfig) -> Trained | Stepwise:
+    """A run's policy as a suite's settings let it act."""
+    if suite.subgoals is None:
+        return Trained(run, goal, suite.execute, suite.guidance)
+    proposer = Trained(suite.subgoals, goal, guidance=suite.guidance, predicts="change")
+    return Stepwise(Trained(run, "state", suite.execute), proposer, suite.subgoal_seconds)
 
 
 def _check_controller(trained: Mapping[str, Any], here: Mapping[str, Any]) -> None:

@@ -11,7 +11,7 @@ from playlearn.config import atomic_write, git_revision, to_dict, versions
 from playlearn.config.schema import nearest
 from playlearn.errors import PlaylearnError, UsageError
 from playlearn.evaluate.cohort import Attempt, Track, draw_track, lost, run_cohort
-from playlearn.evaluate.contenders import Contender, Expert, Random, Trained, scripted
+from playlearn.evaluate.contenders import Contender, Expert, Random, scripted, trained
 from playlearn.evaluate.results import by_policy, curve, ends, parquet, summary, to_film, to_show
 from playlearn.evaluate.suite import SuiteConfig, load_suite
 from playlearn.executor import Executor, Job, LocalExecutorConfig, LostError
@@ -168,11 +168,11 @@ def _contenders(
     if policy is not None and policy not in known:
         raise UsageError(f"--policy is {policy!r}{nearest(policy, POLICIES)}; a trained one is given as --run RUN")
     if run is not None:
-        trained = Trained(run, goal, config.execute, config.guidance)
-        trained.check()
-        return [trained, *(known.values() if references else ())]
-    judged = known.pop(str(policy))
-    return [judged, *(known.values() if references else ())]
+        judged = trained(run, goal, config)
+        judged.check()
+        return [judged, *(known.values() if references else ())]
+    reference = known.pop(str(policy))
+    return [reference, *(known.values() if references else ())]
 
 
 def _make(out: Path) -> None:

@@ -89,8 +89,9 @@ class SuiteConfig:
     environment: the world. kind: where starts and goals come from. episodes: in all, spread evenly
     over the tasks. max_steps: the budget of a goal. hold: for how many consecutive steps the
     judge must be content. cohort: how many episodes are stepped together (and planned for in one batch).
-    execute, guidance: how a trained policy acts (null: as is usual for it). picture: height of the
-    report's pictures in pixels, as seen through `camera`.
+    execute, guidance: how a trained policy acts (null: as is usual for it). subgoals: a run that proposes
+    them, each for `subgoal_seconds` at most (null: the policy acts on the goal itself). picture: height of
+    the report's pictures in pixels, as seen through `camera`.
     """
 
     name: str
@@ -103,6 +104,8 @@ class SuiteConfig:
     cohort: int = 8
     execute: int | None = None
     guidance: float | None = None
+    subgoals: Path | None = None
+    subgoal_seconds: float = 4.0
     picture: int = 192
     camera: str = "front"
 

@@ -97,6 +97,11 @@ class PolicyActor:
             if goal is not None
         ]
 
+    def show(self, row: int, goal: Goal) -> None:
+        """Another goal for one environment, in the middle of its episode; it is planned for at once."""
+        self._rows[row].goal = goal
+        self._rows[row].plans = []
+
     def act(self, observations: Sequence[Observation], active: Sequence[bool]) -> list[Decision]:
         """One decision an environment; those of inactive ones mean nothing."""
         due = []
@@ -145,10 +150,17 @@ class PolicyActor:
         mean: Array = (weights[:, None] * candidates).sum(0) / weights.sum()
         return mean.astype(np.float32)
 
-    def _inputs(self) -> Inputs:
+    def believed(self, observations: Sequence[Observation]) -> Array:
+        """(K, G) what is achieved in each environment, see `Policy.believed`."""
+        believed: Array = self.policy.believed(self._inputs([[seen] for seen in observations])).numpy()
+        return believed
+
+    def _inputs(self, histories: Sequence[Sequence[Observation]] | None = None) -> Inputs:
+        """histories: of each environment, newest last (None: what was seen since the reset)."""
         encoder, steps = self.policy.config.encoder, self.policy.config.history
-        histories = [[row.history[0]] * (steps - len(row.history)) + list(row.history) for row in self._rows]
-        moments = [observation for history in histories for observation in history]
+        seen = [list(row.history) for row in self._rows] if histories is None else histories
+        padded = [[history[0]] * (steps - len(history)) + list(history) for history in seen]
+        moments = [observation for history in padded for observation in history]
         goals = [row.goal for row in self._rows]
 
         def stack(values: list[Array]) -> Tensor:
@@ -158,12 +170,10 @@ class PolicyActor:
         return Inputs(
             state=stack([o.state for o in moments]),
             achieved=stack([o.achieved for o in moments]),
-            history_mask=torch.tensor(
-                [[False] * (steps - len(row.history)) + [True] * len(row.history) for row in self._rows]
-            ),
+            history_mask=torch.tensor([[False] * (steps - len(history)) + [True] * len(history) for history in seen]),
             goal_achieved=torch.from_numpy(np.stack([goal.achieved for goal in goals])),
             goal_state=torch.from_numpy(
-                np.stack([o[-1].state if g.state is None else g.state for o, g in zip(histories, goals, strict=True)])
+                np.stack([o[-1].state if g.state is None else g.state for o, g in zip(padded, goals, strict=True)])
             ),
             images={c: stack([o.images[c] for o in moments]) for c in encoder.observation_cameras},
             goal_images={c: torch.from_numpy(np.stack([g.images[c] for g in goals])) for c in self._goal_cameras},

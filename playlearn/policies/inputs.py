@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import torch
 from torch import Tensor
@@ -84,7 +84,10 @@ class Named(Protocol):
 
 @dataclass(frozen=True)
 class PolicySpec:
-    """The world a policy was made for: what each index means, fps, camera -> (height, width) in pixels."""
+    """The world a policy was made for: what each index means, fps, camera -> (height, width) in pixels.
+
+    predicts: actions, or the change of `achieved` that comes next (whose names are then `action_names`).
+    """
 
     state_names: tuple[str, ...]
     achieved_names: tuple[str, ...]
@@ -92,6 +95,7 @@ class PolicySpec:
     fps: float
     cameras: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     controller: Mapping[str, Any] = field(default_factory=dict)
+    predicts: Literal["actions", "change"] = "actions"
 
     def check(self, other: Named, cameras: Mapping[str, tuple[int, int]], needed: tuple[str, ...]) -> None:
         """Refuse a world whose numbers mean something else.
@@ -101,7 +105,8 @@ class PolicySpec:
         Raises:
             CheckpointError: names, fps or a needed camera differ; the message says which.
         """
-        for what in ("state_names", "achieved_names", "action_names"):
+        what_acts = ("action_names",) if self.predicts == "actions" else ()
+        for what in ("state_names", "achieved_names", *what_acts):
             mine, theirs = tuple(getattr(self, what)), tuple(getattr(other, what))
             if mine != theirs:
                 raise CheckpointError(_difference(what.removesuffix("_names"), mine, theirs))

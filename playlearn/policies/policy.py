@@ -86,7 +86,9 @@ class Policy(nn.Module):
             self.normaliser = Normaliser.identity(widths)
         else:
             names = {"state": spec.state_names, "achieved": spec.achieved_names}
-            self.normaliser = Normaliser(pooled(statistics, names))
+            # one that is hardly used must not count as much as the others; of what changes, all counts alike
+            share = {} if spec.predicts == "actions" else {"action_share": 0.0}
+            self.normaliser = Normaliser(pooled(statistics, names), **share)
         width = config.trunk.width
         self.encoder = config.encoder.build(spec, width, fetch=fetch)
         self.trunk = config.trunk.build(self.encoder.goal_tokens + config.history * self.encoder.step_tokens)
@@ -129,7 +131,7 @@ class Policy(nn.Module):
     def act(
         self, inputs: Observed, generator: Generators, guidance: float | None = None, *, mode: bool = False
     ) -> Tensor:
-        """(B, H, A) float32 on the CPU, in units of the environment, clipped to [-1, 1].
+        """(B, H, A) float32 on the CPU, in units of the environment; actions clipped to [-1, 1].
 
         inputs: on any device. generator: one, or one a row, which makes a row independent of the others.
         guidance: weight of the goal, None for the plain prediction (a weight of 1). mode: the head's mode
@@ -143,7 +145,25 @@ class Policy(nn.Module):
         if weight not in (0.0, 1.0):
             guide = Guidance(self._features(normal, ~shown, None)[0], weight)
         chunk = self.head.mode(features, guide) if mode else self.head.sample(features, generator, guide)
-        return self.normaliser.restore("action", chunk).clamp(-1, 1).float().cpu()
+        chunk = self.normaliser.restore("action", chunk)
+        return (chunk.clamp(-1, 1) if self.spec.predicts == "actions" else chunk).float().cpu()
+
+    @torch.inference_mode()
+    def believed(self, inputs: Observed) -> Tensor:
+        """(B, G) float32 on the CPU: what is achieved now, read from its images where it looks through cameras.
+
+        Raises:
+            UsageError: it looks through cameras and was not taught to tell (`encoder.auxiliary`).
+        """
+        if not self.config.encoder.observation_cameras:
+            return inputs.achieved[:, -1].float().cpu()
+        keep = torch.zeros(len(inputs.state), dtype=torch.bool, device=self.device)
+        observed = self.encoder(self._normalised(inputs), keep, None).observed
+        if observed is None:
+            raise UsageError(
+                "this policy cannot tell where things are: train it with encoder.auxiliary.achieved above 0"
+            )
+        return self.normaliser.restore("achieved", observed[:, -1]).float().cpu()
 
     def check(self, spec: Named, cameras: Mapping[str, tuple[int, int]]) -> None:
         """Refuse an environment it was not trained for. cameras: name -> (height, width) there.
@@ -242,4 +262,5 @@ def spec_from_dict(written: Mapping[str, Any]) -> PolicySpec:
         fps=written["fps"],
         cameras={camera: (size[0], size[1]) for camera, size in written["cameras"].items()},
         controller=written["controller"],
+        predicts=written.get("predicts", "actions"),
     )

@@ -1,6 +1,7 @@
 """Which later moment becomes the goal: index arithmetic only, one file a strategy."""
 
 from playlearn.relabel.base import UNIFORMS, GoalSampler, GoalSamplerConfig
+from playlearn.relabel.chance import counter_uniforms
 from playlearn.relabel.ending import EndingConfig
 from playlearn.relabel.episode import EpisodeConfig
 from playlearn.relabel.failures import leads_to_failure
@@ -33,5 +34,6 @@ __all__ = [
     "Share",
     "Table",
     "UniformConfig",
+    "counter_uniforms",
     "leads_to_failure",
 ]

@@ -1,0 +1,75 @@
+"""Far goals step by step: a proposer says how the world will differ next, a policy below it brings that about.
+
+The proposer is a policy like any other, trained with `data.labels: change` on goals several settled moments ahead: of
+the far goal and what is seen it makes the change up to the next settled moment. Its head samples, since what
+is to be done first is often a free choice. After HIQL (Park et al. 2023), whose upper level proposes where to be in k
+steps; the next settled moment is what people would call the next step, and it holds still to be reached.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from playlearn.episode import Array, Decision, Goal, Observation
+from playlearn.errors import UsageError
+from playlearn.policies.execution import PolicyActor
+
+Reached = Callable[[Array, Array], bool]  # (achieved, goal), each (G,)
+
+
+class SubgoalActor:
+    """Acts in K environments through subgoals (a rollout's Actor).
+
+    worker: acts, and reads goals that are states. proposer: plans the next change. reached: when a subgoal is, by
+        what the worker believes is achieved. steps: how long a subgoal stays at most. Both are looked at whenever the
+        worker is to plan anew.
+
+    Raises:
+        UsageError: the worker was taught goals that say where the arm is, which no subgoal does.
+    """
+
+    def __init__(self, worker: PolicyActor, proposer: PolicyActor, reached: Reached, steps: int) -> None:
+        if worker.policy.config.encoder.goal_body:
+            raise UsageError(
+                f"{worker.name} was taught goals that say where the arm is (goal_arm), and no subgoal does"
+            )
+        self.name = worker.name
+        self.cameras = tuple(dict.fromkeys((*worker.cameras, *proposer.cameras)))
+        self._worker, self._proposer, self._reached, self._steps = worker, proposer, reached, steps
+        self._moment = 0
+        self._until: list[int] = []
+        self._subgoals: list[Array | None] = []
+
+    def reset(self, goals: Sequence[Goal | None], seeds: Sequence[int]) -> None:
+        """Begin K episodes; raises UsageError where a goal lacks what the proposer reads."""
+        self._proposer.reset(goals, [_apart(seed) for seed in seeds])
+        self._worker.reset(goals, seeds)
+        self._moment = 0
+        self._until = [0] * len(goals)
+        self._subgoals = [None] * len(goals)
+
+    def act(self, observations: Sequence[Observation], active: Sequence[bool]) -> list[Decision]:
+        """One decision an environment; those of inactive ones mean nothing."""
+        if self._moment % self._worker.execute == 0:
+            self._propose(observations, active)
+        self._moment += 1
+        return self._worker.act(observations, active)
+
+    def _propose(self, observations: Sequence[Observation], active: Sequence[bool]) -> None:
+        believed = self._worker.believed(observations)
+        due = [
+            running and (subgoal is None or self._moment >= until or self._reached(now, subgoal))
+            for running, subgoal, until, now in zip(active, self._subgoals, self._until, believed, strict=True)
+        ]
+        if not any(due):
+            return
+        changes = self._proposer.act(observations, due)
+        for k in np.flatnonzero(due).tolist():
+            subgoal = (believed[k] + changes[k].action).astype(np.float32)
+            self._subgoals[k], self._until[k] = subgoal, self._moment + self._steps
+            self._worker.show(k, Goal(subgoal))
+
+
+def _apart(seed: int) -> int:
+    """Luck of the proposer's own, so that the worker's is what it would be without it."""
+    return int(np.random.SeedSequence((seed, 1)).generate_state(1)[0])
