@@ -6,32 +6,15 @@ depends on its own state, goal and seed alone, never on which of the others are 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
 from playlearn.config import to_dict, versions
 from playlearn.episode import Array, Decision, Episode, EpisodeMeta, Goal, Observation
 from playlearn.errors import ActionError, SimulationDiverged
-from playlearn.sim.environment import Environment
+from playlearn.sim.environment import Actor, Environment
 
-
-class Actor(Protocol):
-    """Who drives: a policy, the scripted expert, the player, chance. `cameras` is what it must see."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def cameras(self) -> tuple[str, ...]: ...
-
-    def reset(self, goals: Sequence[Goal | None], seeds: Sequence[int]) -> None:
-        """Begin with K environments; everything random in row k comes from seeds[k]."""
-        ...
-
-    def act(self, observations: Sequence[Observation], active: Sequence[bool]) -> Sequence[Decision]:
-        """One decision for each of the K environments; those of inactive ones are not read."""
-        ...
+__all__ = ["LENGTH", "STOPPED", "Actor", "Outcome", "RandomActor", "rollout"]
 
 
 @dataclass(frozen=True, eq=False)

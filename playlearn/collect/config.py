@@ -10,7 +10,7 @@ from playlearn.config import to_dict
 from playlearn.errors import UsageError
 from playlearn.sim import EnvironmentConfig
 from playlearn.tasks import PlayTableConfig
-from playlearn.teleop import PlayConfig
+from playlearn.teleop import PlayConfig, PlayerConfig
 
 _FREE = ("episodes", "timeout")  # say nothing about what is in an episode
 
@@ -27,7 +27,7 @@ class CollectConfig:
     """
 
     environment: EnvironmentConfig = field(default_factory=PlayTableConfig)
-    play: PlayConfig = field(default_factory=PlayConfig)
+    play: PlayerConfig = field(default_factory=PlayConfig)
     episodes: int = 100
     steps: int = 400
     cameras: tuple[str, ...] = ()

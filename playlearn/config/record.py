@@ -10,7 +10,7 @@ from pathlib import Path
 
 from playlearn import __version__
 
-RECORDED = ("torch", "numpy", "mujoco", "robosuite", "lerobot", "diffusers", "transformers")
+RECORDED = ("torch", "numpy", "mujoco", "robosuite", "ogbench", "lerobot", "diffusers", "transformers")
 
 
 def atomic_write(path: Path, data: bytes) -> None:

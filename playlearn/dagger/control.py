@@ -25,8 +25,8 @@ def player(config: DaggerConfig, store: Path, suite: SuiteConfig, cameras: tuple
     if not path.is_file():
         raise UsageError(f"{store} does not say how it was played (no {RESOLVED}): name a config with `--collect FILE`")
     made = load_config(CollectConfig, path)
-    noise = max(config.noise, made.play.noise) if config.control == "noise" else made.play.noise
-    return replace(made, environment=suite.environment, cameras=cameras, play=replace(made.play, noise=noise))
+    play = made.play.noisier(config.noise) if config.control == "noise" else made.play
+    return replace(made, environment=suite.environment, cameras=cameras, play=play)
 
 
 def play_on(config: CollectConfig, steps: int, seed: int, out: Path, workers: int | None) -> int:

@@ -7,7 +7,7 @@ from typing import Any, Protocol, Self
 import draccus
 import numpy as np
 
-from playlearn.episode import Array, Observation
+from playlearn.episode import Array, Decision, Goal, Observation
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,8 @@ class Task:
     arrange: (environment, rng) -> None, brings a freshly reset environment into such a state.
     command: (achieved, rng) -> (G,), the goal state an expert is asked to reach from there.
     judge: (start, achieved, goal) -> bool, what the task is about, and nothing else.
+    pose: (environment, rng) -> (N,) simulator state, of a benchmark's task, whose goal is given and not reached by an
+        expert: brings the environment into a start state and returns the goal's.
     """
 
     name: str
@@ -35,6 +37,7 @@ class Task:
     arrange: Callable[[Any, np.random.Generator], None]
     command: Callable[[Array, np.random.Generator], Array]
     judge: Callable[[Array, Array, Array], bool]
+    pose: Callable[[Any, np.random.Generator], Array] | None = None
 
 
 @dataclass(frozen=True)
@@ -111,3 +114,21 @@ class Environment(Protocol):
         ...
 
     def close(self) -> None: ...
+
+
+class Actor(Protocol):
+    """Who drives: a policy, the scripted expert, the player, chance. `cameras` is what it must see."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def cameras(self) -> tuple[str, ...]: ...
+
+    def reset(self, goals: Sequence[Goal | None], seeds: Sequence[int]) -> None:
+        """Begin with K environments; everything random in row k comes from seeds[k]."""
+        ...
+
+    def act(self, observations: Sequence[Observation], active: Sequence[bool]) -> Sequence[Decision]:
+        """One decision for each of the K environments; those of inactive ones are not read."""
+        ...

@@ -40,6 +40,16 @@ def our_context() -> Iterator[None]:
             gc.enable()
 
 
+def backend() -> str:
+    """GL back end and device, such as `egl: llvmpipe (LLVM 15.0.6, 256 bits)`."""
+    with our_context():
+        from OpenGL import GL  # only once a platform has been chosen by the context
+
+        while GL.glGetError():  # an error of before is none of this question
+            pass
+        return f"{os.environ.get('MUJOCO_GL', 'default')}: {GL.glGetString(GL.GL_RENDERER).decode()}"
+
+
 @contextlib.contextmanager
 def _current_again() -> Iterator[None]:
     """The EGL context that is current, or none, is so again at the end."""

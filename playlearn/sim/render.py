@@ -6,7 +6,6 @@ out of view or covered is left out (`cover`), what stands still before a fixed c
 of which robosuite's floor has one in a hundred, not at all.
 """
 
-import os
 from collections.abc import Callable
 from typing import Any
 
@@ -39,15 +38,6 @@ class Renderer:
             RenderError: no headless OpenGL can be had; the message says what to install.
         """
         return self._stage(height).draw(qpos, extra, camera, height, width)
-
-    def backend(self) -> str:
-        """GL back end and device, such as `egl: llvmpipe (LLVM 15.0.6, 256 bits)`."""
-        with our_context():
-            from OpenGL import GL  # only once a platform has been chosen by the context
-
-            while GL.glGetError():  # an error of before is none of this question
-                pass
-            return f"{os.environ.get('MUJOCO_GL', 'default')}: {GL.glGetString(GL.GL_RENDERER).decode()}"
 
     def _stage(self, height: int) -> "_Stage":
         rows = 64

@@ -17,9 +17,11 @@ import numpy as np
 
 import playlearn.sim.robots  # noqa: F401 - registers them
 from playlearn.episode import Array, Observation
-from playlearn.errors import ActionError, SimulationDiverged, UsageError
+from playlearn.errors import SimulationDiverged, UsageError
+from playlearn.sim.checks import check_physics, checked_action
 from playlearn.sim.displace import displace, touching
 from playlearn.sim.environment import CameraConfig, EnvironmentSpec
+from playlearn.sim.gl import backend
 from playlearn.sim.osc import ArmControl
 from playlearn.sim.render import Renderer
 
@@ -31,12 +33,6 @@ STATE_NAMES = (
 ACTION_NAMES = ("dx", "dy", "dz", "droll", "dpitch", "dyaw", "gripper")
 _SAVED = int(mujoco.mjtState.mjSTATE_FULLPHYSICS | mujoco.mjtState.mjSTATE_WARMSTART | mujoco.mjtState.mjSTATE_CTRL)
 _DRAWS = 20
-_FATAL = [
-    int(mujoco.mjtWarning.mjWARN_BADQPOS),
-    int(mujoco.mjtWarning.mjWARN_BADQVEL),
-    int(mujoco.mjtWarning.mjWARN_BADQACC),
-    int(mujoco.mjtWarning.mjWARN_BADCTRL),
-]
 
 
 class RobosuiteWorld:
@@ -189,7 +185,7 @@ class RobosuiteWorld:
         self._refresh()
 
     def step(self, action: Array) -> None:
-        action = self._checked(action)
+        action = checked_action(action, self.spec.action_names)
         before = self.data.time
         self._gripper_model.current_action = self._gripper
         if len(action) > 6:
@@ -199,7 +195,7 @@ class RobosuiteWorld:
             self._arm.step(action[:6])
         except SimulationDiverged as error:
             raise SimulationDiverged(f"the simulation gave up at {before:.2f} s: {error}") from error
-        self._check_physics(before)
+        check_physics(self.data, before)
         self._refresh()
         self._after_step()
 
@@ -225,7 +221,7 @@ class RobosuiteWorld:
         return self._renderer.draw(self.data.qpos, self._shown(), camera, height or size.height, width or size.width)
 
     def renderer(self) -> str:
-        return self._renderer.backend()
+        return backend()
 
     def scene(self) -> mujoco.MjModel:
         """All of the scene, newly compiled: what is only looked at too, with its meshes as robosuite has them."""
@@ -239,28 +235,6 @@ class RobosuiteWorld:
         """Nothing to give back: the GL context belongs to the process."""
 
     # Inside ---------------------------------------------------------------------------------------
-
-    def _checked(self, action: Array) -> Array:
-        action, names = np.asarray(action, float), self.spec.action_names
-        if action.shape != (len(names),):
-            raise ActionError(f"an action must have shape ({len(names)},), got {action.shape}")
-        if not np.abs(action).max() <= 1 + 1e-6:  # nor is what is no number
-            if not np.isfinite(action).all():
-                raise ActionError(f"the action is not finite: {dict(zip(names, action.tolist(), strict=True))}")
-            raise ActionError(f"actions lie in [-1, 1], got {action.round(3).tolist()}")
-        return action.clip(-1, 1)
-
-    def _check_physics(self, before: float) -> None:
-        data = self.data
-        counts = data.warning.number
-        finite = math.isfinite(data.qpos.sum() + data.qvel.sum())
-        if counts[_FATAL].any() or data.time <= before or not finite:
-            fired = [mujoco.mjtWarning(warning).name for warning in _FATAL if counts[warning]]
-            counts[:] = 0
-            raise SimulationDiverged(
-                f"the simulation diverged at {before:.2f} s ({', '.join(fired) or 'not finite or time went back'}); "
-                "the episode ends before it"
-            )
 
     def _refresh(self) -> None:
         """Bring positions in line with qpos, which integration left one substep behind."""

@@ -1,19 +1,29 @@
 """Who drives: skills, unstructured play, and the expert that can be asked for an action in any state."""
 
-from playlearn.sim.environment import Environment
+from playlearn.sim.environment import Actor, Environment
 from playlearn.teleop.driver import driver_for, register_driver
-from playlearn.teleop.expert import Expert
-from playlearn.teleop.player import PlayConfig, Player
+from playlearn.teleop.expert import Expert, Teacher, register_expert, special_expert
+from playlearn.teleop.player import PlayConfig, Player, PlayerConfig
 
 
-def expert_for(environment: Environment) -> Expert:
+def expert_for(environment: Environment) -> Teacher:
     """The scripted expert of this kind of environment."""
-    return Expert(driver_for(environment))
+    return special_expert(environment) or Expert(driver_for(environment))
 
 
-def player_for(environment: Environment, config: PlayConfig) -> Player:
-    """The scripted player of this kind of environment."""
-    return Player(driver_for(environment), config)
+def player_for(environment: Environment, config: PlayerConfig) -> Actor:
+    """Who plays as `config` says, in this environment."""
+    return config.build(environment)
 
 
-__all__ = ["Expert", "PlayConfig", "Player", "expert_for", "player_for", "register_driver"]
+__all__ = [
+    "Expert",
+    "PlayConfig",
+    "Player",
+    "PlayerConfig",
+    "Teacher",
+    "expert_for",
+    "player_for",
+    "register_driver",
+    "register_expert",
+]

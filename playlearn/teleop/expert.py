@@ -1,12 +1,37 @@
 """The expert: asked for an action in any state, it does what its driver's skills do there."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
 import numpy as np
 
 from playlearn.episode import Array, Decision, Goal, Observation
+from playlearn.sim.environment import Actor, Environment
 from playlearn.teleop.driver import Driver
 from playlearn.teleop.hand import Hand, Style
+
+
+class Teacher(Actor, Protocol):
+    """An actor that can be asked in any state, and remembers nothing but its goals."""
+
+    def decide(self, seen: Observation, goal: Array) -> Decision:
+        """What to do in this state towards goal (G,)."""
+        ...
+
+
+_EXPERTS: dict[str, Callable[[Environment], Teacher]] = {}
+
+
+def register_expert(kind: str, make: Callable[[Environment], Teacher]) -> None:
+    """Say who is the expert where no `Driver` is, in environments whose config is registered as `kind`."""
+    _EXPERTS[kind] = make
+
+
+def special_expert(environment: Environment) -> Teacher | None:
+    """The one registered for this kind of environment."""
+    config = environment.config
+    make = _EXPERTS.get(str(config.get_choice_name(type(config))))
+    return None if make is None else make(environment)
 
 
 class Expert:

@@ -13,14 +13,17 @@ The annotation of a step is its skill's name and what else can be said of it (`p
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Self
 
+import draccus
 import numpy as np
 
 from playlearn.config import nearest
 from playlearn.episode import Array, Decision, Goal, Observation, annotation
 from playlearn.errors import UsageError
-from playlearn.teleop.driver import Driver, Idea, pick
+from playlearn.sim.environment import Actor, Environment
+from playlearn.teleop.driver import Driver, Idea, driver_for, pick
 from playlearn.teleop.hand import OPEN, Hand, Style
 from playlearn.teleop.planned import Plan
 from playlearn.teleop.skills import Reach, Skill
@@ -34,7 +37,25 @@ _SLIP_STEPS = 9
 
 
 @dataclass(frozen=True)
-class PlayConfig:
+class PlayerConfig(draccus.ChoiceRegistry):
+    """Who plays, and how: the base of every player's config; `type:` in a YAML picks the kind."""
+
+    @classmethod
+    def default_choice_name(cls) -> str:
+        return "skills"
+
+    def build(self, environment: Environment) -> Actor:
+        """Raises UsageError where this kind cannot play there, or is asked for what nobody offers there."""
+        raise NotImplementedError
+
+    def noisier(self, noise: float) -> Self:
+        """The same with at least so much noise on what is executed."""
+        raise NotImplementedError
+
+
+@PlayerConfig.register_subclass("skills")
+@dataclass(frozen=True)
+class PlayConfig(PlayerConfig):
     """How somebody plays; `configs/collect/{clean,human,noisy}.yaml` are three characters.
 
     weights: how often each kind of skill is tried, where it can be; what is not named here keeps the weight
@@ -79,6 +100,12 @@ class PlayConfig:
         for kind, weight in self.weights.items():
             if not 0 <= weight < np.inf:
                 raise UsageError(f"weights.{kind} must be 0 or more, got {weight}")
+
+    def build(self, environment: Environment) -> "Player":
+        return Player(driver_for(environment), self)
+
+    def noisier(self, noise: float) -> Self:
+        return replace(self, noise=max(noise, self.noise))
 
     def check(self, ideas: Sequence[Idea]) -> None:
         """Raises UsageError where `weights` names a kind that nobody offers, or leaves nothing to do."""
