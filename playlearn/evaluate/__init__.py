@@ -6,6 +6,7 @@ from playlearn.evaluate.contenders import Contender, Expert, Random, Stepwise, T
 from playlearn.evaluate.far import FarConfig
 from playlearn.evaluate.heldout import HeldoutConfig
 from playlearn.evaluate.job import evaluate
+from playlearn.evaluate.posed import PosedConfig
 from playlearn.evaluate.suite import Setup, SuiteConfig, SuiteKind, load_suite
 from playlearn.evaluate.tasks import TasksConfig
 
@@ -15,6 +16,7 @@ __all__ = [
     "Expert",
     "FarConfig",
     "HeldoutConfig",
+    "PosedConfig",
     "Random",
     "Setup",
     "Stepwise",
