@@ -60,16 +60,17 @@ def rollout(
     """
     if not len(environments) == len(goals) == len(seeds):
         raise ValueError(f"{len(environments)} environments, {len(goals)} goals and {len(seeds)} seeds")
+    actor.reset(goals, seeds)
     seen = tuple(dict.fromkeys((*cameras, *actor.cameras)))
     takes = [_Take(environment, environment.observe(seen), tuple(cameras)) for environment in environments]
     for take in takes:
         take.ended = take.environment.failure()
-    actor.reset(goals, seeds)
     for step in range(1, max_steps + 1):
         active = [take.ended is None for take in takes]
         if not any(active):
             break
         decisions = actor.act([take.latest for take in takes], active)
+        seen = tuple(dict.fromkeys((*cameras, *actor.cameras)))
         for k, (take, decision) in enumerate(zip(takes, decisions, strict=True)):
             if active[k]:
                 take.ended = _step(take, decision, seen)

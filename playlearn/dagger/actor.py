@@ -58,10 +58,13 @@ class Mixed:
     def __init__(self, policy: Actor, expert: Actor, sharing: Sharing, spread: Spread | None = None) -> None:
         """spread: see `PolicyActor.spread`; for gates that ask how sure the policy is."""
         self._policy, self._expert, self._sharing, self._spread = policy, expert, sharing, spread
-        self.cameras = tuple(dict.fromkeys((*policy.cameras, *expert.cameras)))
         self._rows: list[_Row] = []
         self._step = 0
         self._spreads: Array = np.zeros(0)
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys((*self._policy.cameras, *self._expert.cameras)))
 
     def reset(self, goals: Sequence[Goal | None], seeds: Sequence[int]) -> None:
         self._policy.reset(goals, seeds)

@@ -19,7 +19,8 @@ class _Row:
     """What is remembered of one environment.
 
     plans: (moment planned at, chunk (H, A)), newest last. planned: how many there were. luck: the generator's
-    state when it was last drawn from afresh.
+    state when it was last drawn from afresh. history: what was seen when it planned, or at every step where the policy
+    remembers. running: whether it still acts.
     """
 
     goal: Goal
@@ -29,6 +30,11 @@ class _Row:
     moment: int = -1
     planned: int = 0
     luck: Tensor | None = None
+    running: bool = True
+
+    def due(self, execute: int) -> bool:
+        """Whether the next step, number `moment + 1`, is to be planned for."""
+        return self.running and (not self.plans or self.moment + 1 - self.plans[-1][0] >= execute)
 
     def ready(self, keep: int) -> torch.Generator:
         """The generator for the next plan: as it was before the last one, where that one's luck is to be kept."""
@@ -65,7 +71,7 @@ class PolicyActor:
         chunk = policy.config.chunk
         if not 1 <= execute <= chunk:
             raise UsageError(f"execute must be between 1 and the policy's chunk of {chunk}, got {execute}")
-        self.name, self.cameras = name, policy.cameras
+        self.name = name
         self.policy = policy.eval()
         self.execute = execute if ensemble is None else 1
         self.guidance, self.ensemble = guidance, ensemble
@@ -75,6 +81,16 @@ class PolicyActor:
             raise UsageError(f"{name} reads its goal from {' or '.join(encoder.goals)}, not from {reads}")
         self._goal_cameras = encoder.goal_cameras if reads == "image" else ()
         self._rows: list[_Row] = []
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """None while it only carries out what it has planned, unless it remembers what it saw."""
+        looks = self._remembers or not self._rows or any(row.due(self.execute) for row in self._rows)
+        return self.policy.cameras if looks else ()
+
+    @property
+    def _remembers(self) -> bool:
+        return self.policy.config.history > 1
 
     def reset(self, goals: Sequence[Goal | None], seeds: Sequence[int]) -> None:
         """Begin K episodes; forgets the ones before.
@@ -106,12 +122,15 @@ class PolicyActor:
         """One decision an environment; those of inactive ones mean nothing."""
         due = []
         for row, observation, running in zip(self._rows, observations, active, strict=True):
+            row.running = running
             if not running and row.history:
                 continue
-            row.history.append(observation)
+            plans = row.due(self.execute)
             row.moment += 1
-            if running and (not row.plans or row.moment - row.plans[-1][0] >= self.execute):
+            if plans:
                 due.append(row)
+            if plans or self._remembers or not row.history:  # what it must not look at it may not have seen
+                row.history.append(observation)
         if due:
             self._plan(due)
         return [Decision(action=self._action(row)) for row in self._rows]
@@ -150,9 +169,11 @@ class PolicyActor:
         mean: Array = (weights[:, None] * candidates).sum(0) / weights.sum()
         return mean.astype(np.float32)
 
-    def believed(self, observations: Sequence[Observation]) -> Array:
-        """(K, G) what is achieved in each environment, see `Policy.believed`."""
-        believed: Array = self.policy.believed(self._inputs([[seen] for seen in observations])).numpy()
+    def believed(self, observations: Sequence[Observation], active: Sequence[bool]) -> Array:
+        """(K, G) what is achieved in each environment, see `Policy.believed`; of inactive ones it means nothing."""
+        rows = zip(self._rows, observations, active, strict=True)
+        seen = [[now] if running or not row.history else [row.history[-1]] for row, now, running in rows]
+        believed: Array = self.policy.believed(self._inputs(seen)).numpy()
         return believed
 
     def _inputs(self, histories: Sequence[Sequence[Observation]] | None = None) -> Inputs:

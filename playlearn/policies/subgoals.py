@@ -34,11 +34,17 @@ class SubgoalActor:
                 f"{worker.name} was taught goals that say where the arm is (goal_arm), and no subgoal does"
             )
         self.name = worker.name
-        self.cameras = tuple(dict.fromkeys((*worker.cameras, *proposer.cameras)))
         self._worker, self._proposer, self._reached, self._steps = worker, proposer, reached, steps
         self._moment = 0
         self._until: list[int] = []
         self._subgoals: list[Array | None] = []
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """All that either looks through where a subgoal may be due, else what the worker needs."""
+        due = self._moment % self._worker.execute == 0
+        both = (*self._worker.policy.cameras, *self._proposer.policy.cameras)
+        return tuple(dict.fromkeys(both)) if due else self._worker.cameras
 
     def reset(self, goals: Sequence[Goal | None], seeds: Sequence[int]) -> None:
         """Begin K episodes; raises UsageError where a goal lacks what the proposer reads."""
@@ -56,7 +62,7 @@ class SubgoalActor:
         return self._worker.act(observations, active)
 
     def _propose(self, observations: Sequence[Observation], active: Sequence[bool]) -> None:
-        believed = self._worker.believed(observations)
+        believed = self._worker.believed(observations, active)
         due = [
             running and (subgoal is None or self._moment >= until or self._reached(now, subgoal))
             for running, subgoal, until, now in zip(active, self._subgoals, self._until, believed, strict=True)

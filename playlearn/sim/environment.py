@@ -117,7 +117,11 @@ class Environment(Protocol):
 
 
 class Actor(Protocol):
-    """Who drives: a policy, the scripted expert, the player, chance. `cameras` is what it must see."""
+    """Who drives: a policy, the scripted expert, the player, chance.
+
+    cameras: what it must see when it acts next; asked after every `reset` and `act`, since to draw is dear and a
+    policy need not look while it carries out a plan.
+    """
 
     @property
     def name(self) -> str: ...

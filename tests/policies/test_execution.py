@@ -123,6 +123,28 @@ def test_a_plan_keeps_its_luck_for_as_long_as_the_head_says() -> None:
     assert [done.index(action) for action in done] == [0, 0, 0, 3, 3, 3, 6, 6, 6]
 
 
+@pytest.mark.parametrize("history", [1, 3])
+def test_what_it_does_not_ask_to_see_changes_nothing(history: int) -> None:
+    """Two rows, of which the second ends at step 3, between two plans: with all frames, and with those asked for."""
+
+    def actions(*, hide: bool) -> tuple[list[list[float]], list[tuple[str, ...]]]:
+        rng, actor = np.random.default_rng(0), PolicyActor(policy("cnn", head="flow", history=history), execute=4)
+        actor.reset([goal(rng), goal(rng)], [0, 1])
+        taken, asked = [], []
+        for step in range(9):
+            asked.append(actor.cameras)
+            now = [observation(rng), observation(rng)]
+            if hide:
+                now = [Observation(o.state, o.achieved, {c: o.images[c] for c in actor.cameras}) for o in now]
+            taken.append(actor.act(now, [True, step < 3])[0].action.tolist())
+        return taken, asked
+
+    seen, asked = actions(hide=True)
+    both = ("front", "wrist")
+    assert asked == [both if history > 1 or step % 4 == 0 else () for step in range(9)]
+    assert seen == actions(hide=False)[0]
+
+
 def test_goals_and_settings_are_checked() -> None:
     with pytest.raises(UsageError, match="between 1 and the policy's chunk of 4, got 5"):
         PolicyActor(policy(), execute=5)

@@ -18,7 +18,7 @@ from tests.policies.parts import SPEC, examples, policy
 class Worker:
     """Believes what it sees, remembers what it is shown, plans every second step."""
 
-    name, cameras, execute = "worker", ("front",), 2
+    name, cameras, execute = "worker", (), 2
 
     def __init__(self) -> None:
         self.policy = policy()
@@ -27,7 +27,7 @@ class Worker:
     def reset(self, goals: Sequence[Goal | None], seeds: Sequence[int]) -> None:
         self.moment, self.seeds = 0, list(seeds)
 
-    def believed(self, observations: Sequence[Observation]) -> Array:
+    def believed(self, observations: Sequence[Observation], active: Sequence[bool]) -> Array:
         return np.stack([observation.achieved for observation in observations])
 
     def show(self, row: int, goal: Goal) -> None:
@@ -41,7 +41,10 @@ class Worker:
 class Proposer:
     """Half of what is left to the goal."""
 
-    name, cameras = "proposer", ("front", "wrist")
+    name = "proposer"
+
+    def __init__(self) -> None:
+        self.policy = policy("cnn")
 
     def reset(self, goals: Sequence[Goal | None], seeds: Sequence[int]) -> None:
         self.goals, self.seeds = goals, list(seeds)
@@ -83,7 +86,9 @@ def test_each_has_luck_of_its_own_and_sees_what_either_needs() -> None:
     actor.reset(goals(1.0, 2.0), [7, 8])
     assert worker.seeds == [7, 8], "the worker's is what it would be without a proposer"
     assert len({*proposer.seeds, *worker.seeds}) == 4
-    assert actor.cameras == ("front", "wrist")
+    assert actor.cameras == ("front", "wrist"), "where a subgoal is due"
+    actor.act(seen(0.0, 0.0), [True, True])
+    assert actor.cameras == (), "while the worker carries out its plan"
 
 
 def test_a_worker_whose_goals_say_where_the_arm_is_is_refused() -> None:
