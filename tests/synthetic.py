@@ -23,6 +23,7 @@ def make_episode(
     *,
     seed: int = 0,
     task: str = "",
+    ended: str = "length",
 ) -> Episode:
     """Segments of 2 to 4 s: pause, move one object smoothly, rest for a second.
 
@@ -45,6 +46,7 @@ def make_episode(
         cameras={camera: {"height": h, "width": w} for camera, (h, w) in sizes.items()},
         versions={"playlearn": "0"},
         task=task,
+        ended=ended,
     )
     return Episode(
         meta=meta,

@@ -24,7 +24,7 @@ from playlearn.data import Batch, DataConfig, PlayDataset
 from playlearn.relabel import UniformConfig
 from playlearn.sim import CameraConfig
 from playlearn.store import NativeStore
-from playlearn.store.lerobot import export_lerobot
+from playlearn.store.lerobot.export import Codec, export_lerobot
 from playlearn.tasks import PlayTableConfig
 
 EXAMPLES = 64
@@ -42,8 +42,10 @@ def reading(size: Size) -> list[Figure]:
         goals = UniformConfig(horizon=HORIZON)
         config = DataConfig(goals=goals, chunk=CHUNK, cameras=CAMERAS, goal_cameras=(GOAL_CAMERA,), heldout_share=0)
         ours = PlayDataset(store, config, seed=SEED)
-        for kind, videos in (("images", False), ("video", True)):
-            exported = export_lerobot(store, Path(folder) / kind, videos=videos)
+        kinds: dict[str, Codec | None] = {"images": None, "video": "av1"}
+        for kind, videos in kinds.items():
+            exported = Path(folder) / kind
+            export_lerobot(store, exported, videos=videos)
             measured = rates(
                 {
                     "ours": partial(_turn, _our_batches(ours), max(2, size.steps)),

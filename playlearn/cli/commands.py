@@ -149,12 +149,16 @@ def diagnose(arguments: argparse.Namespace) -> int:
 def export(arguments: argparse.Namespace) -> int:
     from playlearn.report.progress import Progress
     from playlearn.store import open_store
-    from playlearn.store.lerobot import export_lerobot
+    from playlearn.store.lerobot.export import export_lerobot
 
     store = open_store(arguments.store)
     with Progress(f"export {arguments.out}", len(store), "episode") as progress:
-        export_lerobot(store, arguments.out, videos=arguments.videos, progress=lambda done, _: progress.to(done))
+        fidelity = export_lerobot(
+            store, arguments.out, videos=arguments.videos, progress=lambda done, _: progress.to(done)
+        )
     print(f"{arguments.out}: LeRobot v3.0, {len(store)} episodes")
+    for camera, read in fidelity.items():
+        print(f"{camera}: {read}")
     return DONE
 
 

@@ -102,7 +102,13 @@ def _parser() -> argparse.ArgumentParser:
     made.add_argument("format", choices=("lerobot",))
     made.add_argument("store", type=Path, metavar="STORE")
     made.add_argument("out", type=Path, metavar="OUT")
-    made.add_argument("--videos", action="store_true", help="encode the cameras as video instead of images")
+    made.add_argument(
+        "--videos",
+        nargs="?",
+        const="av1",
+        choices=("av1", "h264"),
+        help="encode the cameras as video (default av1) instead of images",
+    )
 
     made = verb(commands.lab, "lab", "run a small experiment and plot what came out", free=True)
     _config(made, "configs/lab/NAME.yaml")

@@ -5,6 +5,7 @@ import json
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Protocol, Self
 
 import draccus
@@ -18,6 +19,11 @@ from playlearn.errors import StoreError
 @dataclass(frozen=True)
 class StoreConfig(draccus.ChoiceRegistry):
     """The base of every store's config; `type:` in a YAML picks the kind."""
+
+    @classmethod
+    def at(cls, folder: Path) -> "StoreConfig | None":
+        """The config of the store in a folder, None where what lies there is of another kind."""
+        return None
 
     def build(self) -> "Store":
         raise NotImplementedError

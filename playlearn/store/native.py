@@ -12,8 +12,6 @@ none is no store yet, and whoever was killed while making it may begin again.
 import bisect
 import errno
 import json
-import threading
-from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -28,10 +26,10 @@ from playlearn.episode import Array, Episode, EpisodeMeta
 from playlearn.errors import EpisodeError, StoreError
 from playlearn.store.base import StoreConfig, StoreSpec, from_json, summary, to_json, with_images
 from playlearn.store.folder import check_free, episode_path, indices, locked, make_folder, strangers, sweep
+from playlearn.store.maps import Maps
 from playlearn.store.tensors import DAMAGED, Layout, checksum_holds, map_tensors, read_header, write_tensors
 
 FORMAT, VERSION = "playlearn", 1
-OPEN_MAPS = 256  # each costs a file descriptor, of which a process has 1,024 by default
 _NAMED = 10  # damaged files in one message
 
 
@@ -58,8 +56,7 @@ class NativeStore:
         self.path, self.spec = path, spec
         self._layouts: dict[int, Layout] = {}
         self._indices: list[int] = []  # ascending
-        self._maps: OrderedDict[int, dict[str, Array]] = OrderedDict()
-        self._guard = threading.Lock()
+        self._maps = Maps()
         self.refresh()
 
     @classmethod
@@ -207,15 +204,7 @@ class NativeStore:
 
     def _arrays(self, i: int) -> dict[str, Array]:
         index = self._index(i)
-        with self._guard:
-            arrays = self._maps.get(index)
-            if arrays is None:
-                arrays = self._maps[index] = map_tensors(episode_path(self.path, index), self._layouts[index])
-                if len(self._maps) > OPEN_MAPS:
-                    self._maps.popitem(last=False)
-            else:
-                self._maps.move_to_end(index)
-        return arrays
+        return self._maps.get(index, lambda: map_tensors(episode_path(self.path, index), self._layouts[index]))
 
 
 class Writer:

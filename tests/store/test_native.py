@@ -16,7 +16,7 @@ from safetensors.numpy import load_file
 from playlearn.episode import Episode
 from playlearn.errors import EpisodeError, StoreError
 from playlearn.store import NativeStore, NativeStoreConfig, StoreSpec, episode_path, open_store, write_episode
-from playlearn.store.native import OPEN_MAPS
+from playlearn.store.maps import OPEN_MAPS
 from tests.synthetic import SKILLS, make_episode, make_store
 
 

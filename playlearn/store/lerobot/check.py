@@ -1,0 +1,192 @@
+"""What of a LeRobot dataset is missing or broken, one by one, and what can still be used."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+from playlearn.episode import Array
+from playlearn.errors import StoreError
+from playlearn.store.lerobot.opening import Description, Row, read_parquet
+
+NAMED = 40  # problems in one message
+NUMBERS = ("episode_index", "frame_index", "index", "timestamp")
+
+
+@dataclass(frozen=True)
+class Problem:
+    """words: what is wrong. episodes: those that cannot be used. images: their numbers can."""
+
+    words: str
+    episodes: frozenset[int] = frozenset()
+    images: bool = False
+
+
+def counted(described: Description) -> list[Problem]:
+    """What `info.json` says beside what its metadata lists."""
+    listed = {"total_episodes": len(described.rows), "total_frames": sum(row.length for row in described.rows)}
+    said = {"total_episodes": described.episodes, "total_frames": described.frames}
+    problems = [
+        Problem(f"meta/info.json says {name} {said[name]}, its episodes' metadata makes it {count}")
+        for name, count in listed.items()
+        if count != said[name]
+    ]
+    at = 0
+    for row in described.rows:
+        if row.begin != at:
+            problems.append(
+                Problem(f"episode {row.index} begins at frame {row.begin} of the dataset, where {at} is next")
+            )
+        at = row.begin + row.length
+    return problems
+
+
+def numbers(
+    described: Description, keys: Sequence[str], shortest: int
+) -> tuple[dict[int, dict[str, Array]], list[Problem]]:
+    """Episode -> column -> (length, n) float32, those that are whole; and what is wrong with the others."""
+    found: dict[int, dict[str, Array]] = {}
+    problems: list[Problem] = []
+    for place, group in groupby(sorted(described.rows, key=lambda row: (row.data, row.index)), lambda row: row.data):
+        rows = list(group)
+        try:
+            table = read_parquet(described.root / place, [*keys, *NUMBERS])
+            lacks = [key for key in (*keys, *NUMBERS) if key not in table.column_names]
+            if lacks:
+                raise StoreError(f"{described.root / place} has no {', '.join(lacks)}: fetch it again")
+        except StoreError as error:
+            problems.append(Problem(f"{error} ({_episodes(rows)})", _numbers(rows)))
+            continue
+        owner = np.asarray(table["episode_index"])
+        for row in rows:
+            mine = np.flatnonzero(owner == row.index)
+            own = table.slice(mine[0], mine[-1] - mine[0] + 1) if len(mine) else table.slice(0, 0)
+            columns, words = _episode(own, row, keys, described.fps, shortest)
+            if words:
+                problems.append(Problem(f"episode {row.index}: {words}", _numbers([row])))
+            else:
+                found[row.index] = columns
+    return found, problems
+
+
+def films(described: Description, cameras: Iterable[str]) -> list[Problem]:
+    """Videos that are missing, broken, or end before an episode does."""
+    from playlearn.store.lerobot.frames import seconds
+
+    owners: dict[tuple[str, str], list[Row]] = {}
+    problems = []
+    for row in described.rows:
+        for camera in cameras:
+            if camera in row.clips:
+                owners.setdefault((camera, row.clips[camera].file), []).append(row)
+            elif described.cameras[camera].video:
+                problems.append(Problem(f"episode {row.index} has no video of {camera}", _numbers([row]), images=True))
+    for (camera, place), rows in owners.items():
+        try:
+            if not (described.root / place).is_file():
+                raise StoreError(f"{described.root / place} is missing: fetch it again")
+            length = seconds(described.root / place)
+        except StoreError as error:
+            problems.append(Problem(f"{error} ({_episodes(rows)})", _numbers(rows), images=True))
+            continue
+        for row in rows:
+            end = row.clips[camera].begin + row.length / described.fps
+            if length < end - 0.5 / described.fps:
+                words = f"episode {row.index}: {place} ends at {length:.2f} s, the episode at {end:.2f} s"
+                problems.append(Problem(words, _numbers([row]), images=True))
+    return problems
+
+
+def usable(described: Description, problems: Sequence[Problem], skip: bool) -> list[Row]:
+    """The episodes to go on with.
+
+    Raises:
+        StoreError: something is wrong and was not to be skipped, or nothing is left.
+    """
+    everything = [row for row in described.rows if row.length > 0]
+    broken = frozenset[int]().union(*(problem.episodes for problem in problems))
+    whole = [row for row in everything if row.index not in broken]
+    if problems and not (skip and whole):
+        numbers = frozenset[int]().union(*(problem.episodes for problem in problems if not problem.images))
+        raise StoreError(_told(described.root, problems, len(whole), len(everything), len(everything) - len(numbers)))
+    if not whole:
+        raise StoreError(f"{described.root} holds no episodes")
+    return whole
+
+
+def _told(root: Path, problems: Sequence[Problem], whole: int, every: int, blind: int) -> str:
+    lines = [f"{root} is not whole:", *(f"  {problem.words}" for problem in problems[:NAMED])]
+    if len(problems) > NAMED:
+        lines.append(f"  and {len(problems) - NAMED} more")
+    if whole:
+        lines.append(f"{whole} of {every} episodes can be used as they are: `skip_broken: true` (`--skip-broken`)")
+    if blind > whole:
+        lines.append(f"{blind} of {every} without their images: `without_images: true` (`--without-images`)")
+    return "\n".join(lines)
+
+
+def _episode(table: pa.Table, row: Row, keys: Sequence[str], fps: float, shortest: int) -> tuple[dict[str, Array], str]:
+    """The columns of one episode, or what is wrong with them."""
+    if len(table) != row.length:
+        return {}, f"{len(table)} frames, where its metadata says {row.length}"
+    if row.length < shortest:
+        return {}, f"{row.length} frames are too few: an action needs the observation before it and the one after"
+    index = np.asarray(table["index"])
+    jumps = np.flatnonzero(index != row.begin + np.arange(row.length))
+    if len(jumps):
+        return {}, f"frame {jumps[0]} has the index {index[jumps[0]]}, where {row.begin + jumps[0]} is next"
+    if (np.asarray(table["frame_index"]) != np.arange(row.length)).any():
+        return {}, "its frame_index does not count 0, 1, 2, ..."
+    late = np.abs(np.asarray(table["timestamp"]) - np.arange(row.length) / fps)
+    if not (late < 0.5 / fps).all():
+        return {}, f"frame {int(np.argmin(late < 0.5 / fps))} is not at the time that {fps:g} frames a second make it"
+    columns = {}
+    for key in keys:
+        try:
+            columns[key] = matrix(table[key])
+        except StoreError as error:
+            return {}, f"{key} {error}"
+        if not np.isfinite(columns[key]).all():
+            return {}, f"{key} is not finite at frame {int(np.argmin(np.isfinite(columns[key]).all(axis=1)))}"
+    return columns, ""
+
+
+def matrix(column: pa.ChunkedArray) -> Array:
+    """(length, n) float32 of a column of numbers or of lists of them."""
+    whole = column.combine_chunks()
+    if whole.null_count:
+        raise StoreError("is empty at some frame")
+    lists = (
+        pa.types.is_list(whole.type) or pa.types.is_fixed_size_list(whole.type) or pa.types.is_large_list(whole.type)
+    )
+    flat = whole.flatten() if lists else whole
+    if flat.null_count or len(flat) % max(len(whole), 1):
+        raise StoreError("has not as many numbers at each frame")
+    values = np.asarray(flat.to_numpy(zero_copy_only=False), np.float32)
+    return values.reshape(len(whole), -1)
+
+
+def tasks(described: Description, rows: Sequence[Row]) -> Mapping[int, str]:
+    """Episode -> its first frame's task."""
+    found: dict[int, str] = {}
+    for place in sorted({row.data for row in rows}):
+        table = read_parquet(described.root / place, ["episode_index", "task_index"])
+        if "task_index" not in table.column_names:
+            continue
+        owner, first = np.unique(np.asarray(table["episode_index"]), return_index=True)
+        chosen = np.asarray(table["task_index"])[first]
+        known = range(len(described.tasks))
+        found |= {int(e): described.tasks[t] for e, t in zip(owner, chosen.tolist(), strict=True) if t in known}
+    return found
+
+
+def _numbers(rows: Iterable[Row]) -> frozenset[int]:
+    return frozenset(row.index for row in rows)
+
+
+def _episodes(rows: Sequence[Row]) -> str:
+    first, last = rows[0].index, rows[-1].index
+    return f"episode {first}" if first == last else f"episodes {first} to {last}, {len(rows)} of them"

@@ -1,0 +1,114 @@
+"""An episode's pictures, decoded: from a video, or from the images among its numbers."""
+
+import io
+from collections.abc import Iterator, Mapping
+from contextlib import closing
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+import pyarrow.parquet as pq
+from av.error import FFmpegError
+from PIL import Image
+
+from playlearn.episode import Array
+from playlearn.errors import StoreError
+from playlearn.store.lerobot.opening import UNREADABLE, Camera, Clip, Description, Row
+
+Size = tuple[int, int]
+
+
+def decoded(described: Description, row: Row, sizes: Mapping[str, Size]) -> dict[str, Array]:
+    """Camera -> (length, h, w, 3) uint8 of one episode, scaled to `sizes`.
+
+    Raises:
+        StoreError: a file is missing or broken, or ends before the episode does.
+    """
+    films = {name: described.cameras[name] for name in sizes if described.cameras[name].video}
+    stills = {name: described.cameras[name] for name in sizes if name not in films}
+    made = {name: _film(described.root, row, row.clips[name], described.fps, sizes[name]) for name in films}
+    return made | (_stills(described.root, row, stills, sizes) if stills else {})
+
+
+def scaled(picture: Array, size: Size) -> Array:
+    """(h, w, 3) uint8 of that size."""
+    return picture if picture.shape[:2] == size else np.asarray(Image.fromarray(picture).resize(size[::-1]))
+
+
+def seconds(path: Path) -> float:
+    """How long a video is; raises StoreError where it is none."""
+    try:
+        with closing(av.open(str(path))) as container:
+            stream = container.streams.video[0]
+            if stream.duration is None or stream.time_base is None:
+                return float(Fraction(container.duration or 0, av.time_base))
+            return float(stream.duration * stream.time_base)
+    except (*UNREADABLE, FFmpegError) as error:
+        raise StoreError(f"{path} cannot be read ({_said(error)}): fetch it again") from error
+
+
+def _film(root: Path, row: Row, clip: Clip, fps: float, size: Size) -> Array:
+    frames = np.empty((row.length, *size, 3), np.uint8)
+    seen = np.zeros(row.length, np.bool_)
+    path = root / clip.file
+    try:
+        with closing(av.open(str(path))) as container:
+            stream = container.streams.video[0]
+            base = stream.time_base
+            if base is None:
+                raise ValueError("it has no time base")
+            stream.thread_type = "AUTO"
+            # The key frame at or before the first one; half a step early, for what rounding may have done.
+            container.seek(max(0, int((clip.begin - 0.5 / fps) / base)), stream=stream)
+            for frame in container.decode(stream):
+                at = round((float(frame.pts * base) - clip.begin) * fps)
+                if at >= row.length:
+                    break
+                if at >= 0:
+                    frames[at] = frame.to_ndarray(format="rgb24", height=size[0], width=size[1])
+                    seen[at] = True
+    except (*UNREADABLE, FFmpegError) as error:
+        raise StoreError(f"{path} cannot be read ({_said(error)}): fetch it again") from error
+    if not seen.all():
+        raise StoreError(f"{path} has no frame {int(np.argmin(seen))} of the {row.length} of episode {row.index}")
+    return frames
+
+
+def _stills(root: Path, row: Row, cameras: Mapping[str, Camera], sizes: Mapping[str, Size]) -> dict[str, Array]:
+    made: dict[str, Array] = {name: np.empty((row.length, *sizes[name], 3), np.uint8) for name in cameras}
+    path = root / row.data
+    try:
+        with pq.ParquetFile(path) as file:
+            for name, camera in cameras.items():
+                for at, encoded in enumerate(_cells(file, row, camera.key)):
+                    with Image.open(io.BytesIO(encoded["bytes"])) as picture:
+                        made[name][at] = scaled(np.asarray(picture.convert("RGB")), sizes[name])
+    except UNREADABLE as error:
+        raise StoreError(f"{path}: the images of episode {row.index} cannot be read ({_said(error)})") from error
+    return made
+
+
+def _cells(file: pq.ParquetFile, row: Row, key: str) -> Iterator[Mapping[str, bytes]]:
+    """The episode's cells of one column: LeRobot writes a row group an episode, others may not."""
+    for group in range(file.num_row_groups):
+        owners = _owners(file, group)
+        if owners is None or owners[0] <= row.index <= owners[1]:
+            table = file.read_row_group(group, columns=[key, "episode_index"])
+            mine = table.filter(np.asarray(table["episode_index"]) == row.index)
+            yield from mine[key].to_pylist()
+
+
+def _owners(file: pq.ParquetFile, group: int) -> tuple[int, int] | None:
+    """The first and last episode in a row group, where the file says so."""
+    column = file.schema_arrow.names.index("episode_index")
+    for k in range(file.metadata.num_columns):
+        part = file.metadata.row_group(group).column(k)
+        if part.path_in_schema == file.schema_arrow.names[column]:
+            told = part.statistics
+            return (told.min, told.max) if told is not None and told.has_min_max else None
+    return None
+
+
+def _said(error: BaseException) -> str:
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
