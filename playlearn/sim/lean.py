@@ -15,12 +15,11 @@ _SAME_SIDE = 0.5  # cosine between the normals of two faces beyond which there i
 _NEARBY = 0.3  # metres from which a moving camera may come to see what it does not see at home
 
 
-def lean_model(xml: str, home: Array, rows: int) -> mujoco.MjModel:
-    """The compiled scene for drawing images with up to `rows` rows; home (nq,) is a pose typical of the cameras.
+def lean_model(spec: mujoco.MjSpec, home: Array, rows: int) -> mujoco.MjModel:
+    """The scene, which is changed, compiled for drawing images with up to `rows` rows; home (nq,) is a pose typical of the cameras.
 
     Meshes of one body that look alike become one geom under the name of the first.
     """
-    spec = mujoco.MjSpec.from_string(xml)
     model = spec.compile()
     if rows <= FINEST:
         tolerances = _tolerances(model, home, rows)

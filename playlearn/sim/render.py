@@ -22,13 +22,15 @@ from playlearn.sim.lean import FINEST, VISUAL_GROUP, lean_model
 class Renderer:
     """Draws a scene in any state, from any camera, in any size; holds its own data, never the simulation's.
 
-    xml: the scene. home: (nq,), a pose from which to judge how near the cameras come to things.
+    scene: makes the scene, new each time. home: (nq,), a pose from which to judge how near the cameras come to things.
     paint: called with a model and what a world keeps beside MuJoCo's state, to show it: it may change colours
     and where bodies stand.
     """
 
-    def __init__(self, xml: str, home: Array, paint: Callable[[mujoco.MjModel, Array], None]) -> None:
-        self._xml, self._home, self._paint = xml, np.array(home), paint
+    def __init__(
+        self, scene: Callable[[], mujoco.MjSpec], home: Array, paint: Callable[[mujoco.MjModel, Array], None]
+    ) -> None:
+        self._scene, self._home, self._paint = scene, np.array(home), paint
         self._stages: dict[int, _Stage] = {}
 
     def draw(self, qpos: Array, extra: Array, camera: str, height: int, width: int) -> Array:
@@ -46,7 +48,7 @@ class Renderer:
         if rows not in self._stages:
             with our_context():  # says what is missing, before time is spent
                 pass
-            self._stages[rows] = _Stage(lean_model(self._xml, self._home, rows), self._paint)
+            self._stages[rows] = _Stage(lean_model(self._scene(), self._home, rows), self._paint)
         return self._stages[rows]
 
 
@@ -121,7 +123,9 @@ class _Stage:
         context = self._need(height, width)
         view = mujoco.MjvCamera()
         view.type, view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, camera
-        shown = geoms & self._cover.in_view(self._data, camera, width / height)
+        shown = geoms
+        if not self._model.light_castshadow.any():  # what is out of view may throw one into it
+            shown = geoms & self._cover.in_view(self._data, camera, width / height)
         self._model.geom_group[:] = np.where(shown, VISUAL_GROUP, mujoco.mjNGROUP - 1)
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = sky
         every = mujoco.mjtCatBit.mjCAT_ALL

@@ -6,6 +6,7 @@ loop around MuJoCo is ours, because robosuite spends most of a control step in P
 
 import contextlib
 import copy
+import functools
 import math
 import warnings
 import xml.etree.ElementTree as ElementTree
@@ -94,7 +95,7 @@ class RobosuiteWorld:
         self.extra = np.zeros(extra)
         self._cameras = dict(cameras)
         self._paint = paint
-        self._renderer = Renderer(self._xml, self._home, paint)
+        self._renderer = Renderer(functools.partial(mujoco.MjSpec.from_string, self._xml), self._home, paint)
         self.spec = EnvironmentSpec(
             state_names=STATE_NAMES,
             achieved_names=tuple(achieved_names),

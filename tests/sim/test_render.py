@@ -50,7 +50,7 @@ def states(world: PlayTableWorld) -> list[np.ndarray]:
 @pytest.fixture(scope="module")
 def fine(world: PlayTableWorld) -> _Stage:
     """The scene as it is: every triangle of it."""
-    return _Stage(lean_model(world._xml, world._home, 2 * FINEST), _paint)
+    return _Stage(lean_model(mujoco.MjSpec.from_string(world._xml), world._home, 2 * FINEST), _paint)
 
 
 def drawn_at_once(stage: _Stage, world: PlayTableWorld, camera: str, height: int, width: int) -> np.ndarray:
