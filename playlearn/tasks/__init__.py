@@ -6,6 +6,7 @@ To import one is to register it: its config under `environment: {type: ...}`, an
 from playlearn.tasks.door import DoorConfig
 from playlearn.tasks.lift import LiftConfig
 from playlearn.tasks.nut_assembly import NutAssemblyConfig
+from playlearn.tasks.ogbench import OgbenchCubeConfig, OgbenchPlayConfig, OgbenchSceneConfig
 from playlearn.tasks.pick_place import PickPlaceConfig
 from playlearn.tasks.playtable import PlayTableConfig
 from playlearn.tasks.stack import StackConfig
@@ -15,6 +16,9 @@ __all__ = [
     "DoorConfig",
     "LiftConfig",
     "NutAssemblyConfig",
+    "OgbenchCubeConfig",
+    "OgbenchPlayConfig",
+    "OgbenchSceneConfig",
     "PickPlaceConfig",
     "PlayTableConfig",
     "StackConfig",

@@ -1,0 +1,102 @@
+"""The configs of OGBench's worlds and of their play; its package is needed where one is built, not before."""
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Self
+
+from playlearn.errors import UsageError
+from playlearn.sim.environment import CameraConfig, Environment, EnvironmentConfig
+from playlearn.teleop import PlayerConfig, Teacher, register_expert
+
+if TYPE_CHECKING:
+    from playlearn.tasks.ogbench.cube import CubeWorld
+    from playlearn.tasks.ogbench.player import OgbenchPlayer
+    from playlearn.tasks.ogbench.scene import SceneWorld
+
+MOST_CUBES = 4
+WANTED = "OGBench's worlds need the extra `ogbench`: pip install 'playlearn[ogbench]'"
+
+
+@dataclass(frozen=True)
+class OgbenchConfig(EnvironmentConfig):
+    """cameras: `front`, OGBench's own view of its pixel worlds, and the size of the images.
+
+    see_through: draw the arm all but transparent, as OGBench's pixel worlds do. exact: draw every pixel as OGBench
+    does, some 40 times slower than with meshes as fine as the image can show.
+    """
+
+    cameras: dict[str, CameraConfig] = field(default_factory=lambda: {"front": CameraConfig(64, 64)})
+    see_through: bool = True
+    exact: bool = False
+
+    def __post_init__(self) -> None:
+        for name in self.cameras:
+            if name != "front":
+                raise UsageError(f"cameras: OGBench's worlds have no camera {name!r}, only `front`")
+
+
+@EnvironmentConfig.register_subclass("ogbench_cube")
+@dataclass(frozen=True)
+class OgbenchCubeConfig(OgbenchConfig):
+    """cubes: 1 is cube-single, 2 cube-double, 3 cube-triple, 4 cube-quadruple."""
+
+    cubes: int = 1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 1 <= self.cubes <= MOST_CUBES:
+            raise UsageError(f"cubes: between 1 and {MOST_CUBES}, got {self.cubes}")
+
+    def build(self) -> "CubeWorld":
+        from playlearn.tasks.ogbench.cube import CubeWorld
+
+        return CubeWorld(self)
+
+
+@EnvironmentConfig.register_subclass("ogbench_scene")
+@dataclass(frozen=True)
+class OgbenchSceneConfig(OgbenchConfig):
+    """unseen: end an episode whose cube leaves the view without being in the drawer: OGBench keeps no such play."""
+
+    unseen: bool = False
+
+    def build(self) -> "SceneWorld":
+        from playlearn.tasks.ogbench.scene import SceneWorld
+
+        return SceneWorld(self)
+
+
+@PlayerConfig.register_subclass("ogbench")
+@dataclass(frozen=True)
+class OgbenchPlayConfig(PlayerConfig):
+    """noise, smoothing: of an oracle's plan, drawn once for each; OGBench's own."""
+
+    noise: float = 0.1
+    smoothing: float = 0.5
+
+    def __post_init__(self) -> None:
+        if min(self.noise, self.smoothing) < 0:
+            raise UsageError(f"noise and smoothing are not negative, got {self.noise:g} and {self.smoothing:g}")
+
+    def build(self, environment: Environment) -> "OgbenchPlayer":
+        from playlearn.tasks.ogbench.player import OgbenchPlayer
+
+        return OgbenchPlayer(environment, self)
+
+    def noisier(self, noise: float) -> Self:
+        return replace(self, noise=max(noise, self.noise))
+
+
+def _cube_expert(environment: Environment) -> Teacher:
+    from playlearn.tasks.ogbench.expert import CubeExpert
+
+    return CubeExpert(environment)
+
+
+def _scene_expert(environment: Environment) -> Teacher:
+    from playlearn.tasks.ogbench.expert import SceneExpert
+
+    return SceneExpert(environment)
+
+
+register_expert("ogbench_cube", _cube_expert)
+register_expert("ogbench_scene", _scene_expert)
