@@ -147,18 +147,26 @@ def diagnose(arguments: argparse.Namespace) -> int:
 
 
 def export(arguments: argparse.Namespace) -> int:
+    from playlearn.config import load_config
+    from playlearn.lerobot.goals import RelabelConfig
+    from playlearn.lerobot.share import contents, push, share
     from playlearn.report.progress import Progress
     from playlearn.store import open_store
-    from playlearn.store.lerobot.export import export_lerobot
+    from playlearn.store.lerobot.opening import is_lerobot
 
-    store = open_store(arguments.store)
-    with Progress(f"export {arguments.out}", len(store), "episode") as progress:
-        fidelity = export_lerobot(
-            store, arguments.out, videos=arguments.videos, progress=lambda done, _: progress.to(done)
-        )
-    print(f"{arguments.out}: LeRobot v3.0, {len(store)} episodes")
-    for camera, read in fidelity.items():
-        print(f"{camera}: {read}")
+    kind = [] if arguments.goals is None else [f"--goals.type={arguments.goals}"]
+    if arguments.overrides and not kind:
+        raise UsageError(f"unknown argument {arguments.overrides[0]}; how goals are drawn is said with --goals")
+    goals = load_config(RelabelConfig, None, kind + arguments.overrides) if kind else None
+    if not (arguments.push and is_lerobot(arguments.out)):
+        content = contents(open_store(arguments.store), goals)
+        with Progress(f"export {arguments.out}", len(content), "episode") as progress:
+            fidelity = share(content, arguments.out, arguments.videos, lambda done, _: progress.to(done))
+        for camera, read in fidelity.items():
+            print(f"{camera}: {read}")
+        print(f"{arguments.out}: LeRobot v3.0, {len(content)} episodes")
+    if arguments.push:
+        print(push(arguments.out, arguments.push, private=arguments.private))
     return DONE
 
 

@@ -98,7 +98,7 @@ def _parser() -> argparse.ArgumentParser:
     made.add_argument("--run", type=Path, required=True, metavar="RUN", help="the folder of a training run")
     _judged(made, "diagnosis.json and .html")
 
-    made = verb(commands.export, "export", "write a store in a format that others read")
+    made = verb(commands.export, "export", "write a store in a format that others read", free=True)
     made.add_argument("format", choices=("lerobot",))
     made.add_argument("store", type=Path, metavar="STORE")
     made.add_argument("out", type=Path, metavar="OUT")
@@ -109,6 +109,16 @@ def _parser() -> argparse.ArgumentParser:
         choices=("av1", "h264"),
         help="encode the cameras as video (default av1) instead of images",
     )
+    made.add_argument(
+        "--goals",
+        nargs="?",
+        const="settled",
+        metavar="SAMPLER",
+        help="relabelled: each window of play an episode that carries its goal, drawn by a sampler (default settled; "
+        "its fields are set as `--goals.ahead 2`)",
+    )
+    made.add_argument("--push", metavar="USER/NAME", help="upload the dataset to the Hub under this name")
+    made.add_argument("--private", action="store_true", help="with --push: for yourself alone")
 
     made = verb(commands.lab, "lab", "run a small experiment and plot what came out", free=True)
     _config(made, "configs/lab/NAME.yaml")

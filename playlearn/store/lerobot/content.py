@@ -51,13 +51,8 @@ class Content(Protocol):
     """The entries of a dataset, made one at a time."""
 
     @property
-    def fps(self) -> float: ...
-
-    @property
-    def robot(self) -> str: ...
-
-    def name(self) -> str:
-        """What to call it in a message."""
+    def store(self) -> Store:
+        """Where they come from."""
         ...
 
     def __len__(self) -> int: ...
@@ -78,17 +73,6 @@ class Play:
 
     def __post_init__(self) -> None:
         self.knows = len(self.store) > 0 and all(self.store.meta(i).task for i in range(len(self.store)))
-
-    @property
-    def fps(self) -> float:
-        return self.store.spec.fps
-
-    @property
-    def robot(self) -> str:
-        return robot(self.store.spec)
-
-    def name(self) -> str:
-        return self.store.name()
 
     def __len__(self) -> int:
         return len(self.store)

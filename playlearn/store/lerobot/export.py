@@ -16,7 +16,7 @@ from playlearn.errors import StoreError
 from playlearn.store.base import Store
 from playlearn.store.lerobot import rest, subtasks
 from playlearn.store.lerobot.check import numbers
-from playlearn.store.lerobot.content import Content, Entry, Play
+from playlearn.store.lerobot.content import Content, Entry, Play, robot
 from playlearn.store.lerobot.frames import decoded
 from playlearn.store.lerobot.opening import Description, describe, is_lerobot
 
@@ -96,9 +96,11 @@ def _check(content: Content, out: Path) -> None:
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise StoreError(f"{out} already exists: name another folder")
     if len(content) == 0:
-        raise StoreError(f"{content.name()} holds no episodes: there is nothing to export")
-    if content.fps != round(content.fps):
-        raise StoreError(f"{content.name()} runs at {content.fps} steps a second; LeRobot knows whole numbers only")
+        raise StoreError(f"{content.store.name()} holds no episodes: there is nothing to export")
+    if content.store.spec.fps != round(content.store.spec.fps):
+        raise StoreError(
+            f"{content.store.name()} runs at {content.store.spec.fps} steps a second; LeRobot knows whole numbers only"
+        )
 
 
 @contextmanager
@@ -136,10 +138,10 @@ def _write(content: Content, root: Path, name: str, videos: Codec | None, progre
         features |= {key: {**features[key], "dtype": "video"} for key in cameras}
     dataset = LeRobotDataset.create(
         repo_id=name,
-        fps=round(content.fps),
+        fps=round(content.store.spec.fps),
         features=features,
         root=root,
-        robot_type=content.robot,
+        robot_type=robot(content.store.spec),
         use_videos=videos is not None,
         image_writer_threads=0 if videos else 2 * len(cameras),
         streaming_encoding=videos is not None,
@@ -162,7 +164,7 @@ def _write(content: Content, root: Path, name: str, videos: Codec | None, progre
     finally:
         dataset.finalize()
     if any(spoken.values()):
-        subtasks.annotate(root, spoken, content.fps)
+        subtasks.annotate(root, spoken, content.store.spec.fps)
 
 
 def _frames(entry: Entry) -> Iterator[dict[str, Any]]:
@@ -208,7 +210,11 @@ def _by_lerobot(content: Content, described: Description, name: str) -> None:
     dataset = LeRobotDataset(name, root=described.root, episodes=sorted({0, last}), video_backend="pyav")
     for at, i, t in ((0, 0, 0), (-1, last, described.rows[last].length - 1)):
         read = dataset[at % len(dataset)]
-        where = int(read["episode_index"]), int(read["frame_index"]), round(float(read["timestamp"]) * content.fps)
+        where = (
+            int(read["episode_index"]),
+            int(read["frame_index"]),
+            round(float(read["timestamp"]) * content.store.spec.fps),
+        )
         _require(where == (i, t, t), f"frame {where}, where {(i, t, t)} was written")
         task = content.entry(i).task
         _require(read["task"] == task, f"episode {i}: task {read['task']!r}, not {task!r}")

@@ -1,0 +1,59 @@
+"""A dataset as others meet it: with its card, picture and statistics, and on the Hub where that was asked for."""
+
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+
+from playlearn.errors import StoreError
+from playlearn.lerobot.goals import GOAL_STATE, RelabelConfig, Windows
+from playlearn.report.lerobot_card import PICTURE, CardFacts, lerobot_card, lerobot_picture
+from playlearn.store import Store
+from playlearn.store.lerobot.content import Content, Play
+from playlearn.store.lerobot.export import Codec, Fidelity, Said, write_lerobot
+
+TAG = "v3.0"  # the version of the format, under which LeRobot looks for a dataset on the Hub
+
+
+def share(content: Content, out: Path, videos: Codec | None, progress: Said | None = None) -> dict[str, Fidelity]:
+    """Write a LeRobot dataset with its card; see `write_lerobot`."""
+
+    def beside(root: Path, fidelity: Mapping[str, Fidelity]) -> None:
+        picture = lerobot_picture(content.store, out.name)
+        if picture:
+            (root / PICTURE).write_bytes(picture)
+        features = content.features()
+        facts = CardFacts(out.name, len(content), GOAL_STATE in features, bool(picture))
+        told = {camera: str(read) for camera, read in fidelity.items()}
+        (root / "README.md").write_text(lerobot_card(content.store, features, told, facts), encoding="utf-8")
+
+    return write_lerobot(content, out, videos=videos, progress=progress, beside=beside)
+
+
+def contents(store: Store, goals: RelabelConfig | None) -> Content:
+    """What is to be written of a store."""
+    return Play(store) if goals is None else Windows(store, goals)
+
+
+def push(root: Path, repo_id: str, *, private: bool) -> str:
+    """Upload a dataset to the Hub and tag it; returns its address there.
+
+    Raises:
+        StoreError: the Hub refused or cannot be reached; the dataset at `root` is as it was.
+    """
+    from huggingface_hub import HfApi
+    from huggingface_hub.errors import HfHubHTTPError, HFValidationError, OfflineModeIsEnabled, RevisionNotFoundError
+
+    api = HfApi()
+    try:
+        address = api.create_repo(repo_id, repo_type="dataset", private=private, exist_ok=True)
+        api.upload_folder(repo_id=repo_id, folder_path=root, repo_type="dataset")
+        with suppress(RevisionNotFoundError):
+            api.delete_tag(repo_id, tag=TAG, repo_type="dataset")
+        api.create_tag(repo_id, tag=TAG, repo_type="dataset")
+    except (HfHubHTTPError, HFValidationError, OfflineModeIsEnabled, OSError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise StoreError(
+            f"{root} is whole, but could not be uploaded as {repo_id} ({reason}): log in with `hf auth login`, then "
+            "push it again with the same command"
+        ) from error
+    return str(address)
