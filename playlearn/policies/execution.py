@@ -76,10 +76,10 @@ class PolicyActor:
         self.execute = execute if ensemble is None else 1
         self.guidance, self.ensemble = guidance, ensemble
         encoder = policy.config.encoder
-        reads = encoder.goals[0] if goal is None else goal
-        if reads not in encoder.goals:
-            raise UsageError(f"{name} reads its goal from {' or '.join(encoder.goals)}, not from {reads}")
-        self._goal_cameras = encoder.goal_cameras if reads == "image" else ()
+        self.reads = encoder.goals[0] if goal is None else goal
+        if self.reads not in encoder.goals:
+            raise UsageError(f"{name} reads its goal from {' or '.join(encoder.goals)}, not from {self.reads}")
+        self._goal_cameras = encoder.goal_cameras if self.reads == "image" else ()
         self._rows: list[_Row] = []
 
     @property

@@ -87,6 +87,7 @@ class PolicySpec:
     """The world a policy was made for: what each index means, fps, camera -> (height, width) in pixels.
 
     predicts: actions, or the change of `achieved` that comes next (whose names are then `action_names`).
+    bounded: actions lie in [-1, 1], as our worlds take them; others' data may have them in units of their own.
     """
 
     state_names: tuple[str, ...]
@@ -96,6 +97,12 @@ class PolicySpec:
     cameras: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     controller: Mapping[str, Any] = field(default_factory=dict)
     predicts: Literal["actions", "change"] = "actions"
+    bounded: bool = True
+
+    @property
+    def clipped(self) -> bool:
+        """What is predicted has to lie in [-1, 1]."""
+        return self.predicts == "actions" and self.bounded
 
     def check(self, other: Named, cameras: Mapping[str, tuple[int, int]], needed: tuple[str, ...]) -> None:
         """Refuse a world whose numbers mean something else.

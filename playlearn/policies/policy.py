@@ -87,7 +87,7 @@ class Policy(nn.Module):
         else:
             names = {"state": spec.state_names, "achieved": spec.achieved_names}
             # one that is hardly used must not count as much as the others; of what changes, all counts alike
-            share = {} if spec.predicts == "actions" else {"action_share": 0.0}
+            share = {} if spec.clipped else {"action_share": 0.0}
             self.normaliser = Normaliser(pooled(statistics, names), **share)
         width = config.trunk.width
         self.encoder = config.encoder.build(spec, width, fetch=fetch)
@@ -146,7 +146,7 @@ class Policy(nn.Module):
             guide = Guidance(self._features(normal, ~shown, None)[0], weight)
         chunk = self.head.mode(features, guide) if mode else self.head.sample(features, generator, guide)
         chunk = self.normaliser.restore("action", chunk)
-        return (chunk.clamp(-1, 1) if self.spec.predicts == "actions" else chunk).float().cpu()
+        return (chunk.clamp(-1, 1) if self.spec.clipped else chunk).float().cpu()
 
     @torch.inference_mode()
     def believed(self, inputs: Observed) -> Tensor:
@@ -263,4 +263,5 @@ def spec_from_dict(written: Mapping[str, Any]) -> PolicySpec:
         cameras={camera: (size[0], size[1]) for camera, size in written["cameras"].items()},
         controller=written["controller"],
         predicts=written.get("predicts", "actions"),
+        bounded=written.get("bounded", True),
     )

@@ -4,6 +4,9 @@ The proposer is a policy like any other, trained with `data.labels: change` on g
 the far goal and what is seen it makes the change up to the next settled moment. Its head samples, since what
 is to be done first is often a free choice. After HIQL (Park et al. 2023), whose upper level proposes where to be in k
 steps; the next settled moment is what people would call the next step, and it holds still to be reached.
+
+What it proposes is a centimetre or two off. So of each thing that it proposes to leave where it is, or to bring where
+the far goal has it, exactly that is asked: as long as the environment calls the one as good as the other.
 """
 
 from collections.abc import Callable, Sequence
@@ -38,6 +41,10 @@ class SubgoalActor:
         self._moment = 0
         self._until: list[int] = []
         self._subgoals: list[Array | None] = []
+        self._goals: Sequence[Goal | None] = ()
+        names = worker.policy.spec.achieved_names
+        owners = np.array([name.partition(".")[0] for name in names])  # `red.x` is part `x` of thing `red`
+        self._things = [owners == owner for owner in dict.fromkeys(owners.tolist())]
 
     @property
     def cameras(self) -> tuple[str, ...]:
@@ -50,7 +57,7 @@ class SubgoalActor:
         """Begin K episodes; raises UsageError where a goal lacks what the proposer reads."""
         self._proposer.reset(goals, [_apart(seed) for seed in seeds])
         self._worker.reset(goals, seeds)
-        self._moment = 0
+        self._moment, self._goals = 0, goals
         self._until = [0] * len(goals)
         self._subgoals = [None] * len(goals)
 
@@ -71,9 +78,22 @@ class SubgoalActor:
             return
         changes = self._proposer.act(observations, due)
         for k in np.flatnonzero(due).tolist():
-            subgoal = (believed[k] + changes[k].action).astype(np.float32)
+            subgoal = self._exact(k, believed[k], (believed[k] + changes[k].action).astype(np.float32))
             self._subgoals[k], self._until[k] = subgoal, self._moment + self._steps
             self._worker.show(k, Goal(subgoal))
+
+    def _exact(self, k: int, now: Array, proposed: Array) -> Array:
+        """(G,) the proposal, each thing of it where it is or is to be, if that is as good."""
+        goal = self._goals[k]
+        known = [now] if goal is None or self._proposer.reads == "image" else [now, goal.achieved]
+        exact = proposed
+        for thing in self._things:
+            for place in known:
+                tried = np.where(thing, place, exact)
+                if self._reached(tried, proposed):
+                    exact = tried
+                    break
+        return exact
 
 
 def _apart(seed: int) -> int:

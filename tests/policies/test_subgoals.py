@@ -32,6 +32,7 @@ class Worker:
 
     def show(self, row: int, goal: Goal) -> None:
         self.shown.append((self.moment, row, round(float(goal.achieved[0]), 3)))
+        self.last = goal.achieved
 
     def act(self, observations: Sequence[Observation], active: Sequence[bool]) -> list[Decision]:
         self.moment += 1
@@ -41,7 +42,7 @@ class Worker:
 class Proposer:
     """Half of what is left to the goal."""
 
-    name = "proposer"
+    name, reads = "proposer", "state"
 
     def __init__(self) -> None:
         self.policy = policy("cnn")
@@ -55,11 +56,16 @@ class Proposer:
 
 
 def seen(*places: float) -> list[Observation]:
-    return [Observation(np.zeros(3, np.float32), np.array([place], np.float32)) for place in places]
+    return [Observation(np.zeros(3, np.float32), at(place)) for place in places]
 
 
 def goals(*places: float) -> list[Goal]:
-    return [Goal(np.array([place], np.float32)) for place in places]
+    return [Goal(at(place)) for place in places]
+
+
+def at(x: float) -> Array:
+    """Red at x, the drawer and the lamp (see SPEC) as they are."""
+    return np.array([x, 0.0, 0.0, 0.0], np.float32)
 
 
 def made(steps: int) -> tuple[SubgoalActor, Worker, Proposer]:
@@ -79,6 +85,22 @@ def test_a_subgoal_stays_until_it_is_reached_or_its_time_is_over() -> None:
     actor.reset(goals(1.0, 2.0), [7, 8])
     actor.act(seen(0.0, 0.0), [True, False])
     assert worker.shown[4:] == [(0, 0, 0.5)], "it begins anew, and proposes nothing to a row that is over"
+
+
+@pytest.mark.parametrize("reads", ["state", "image"])
+def test_what_is_as_good_is_asked_for_exactly(reads: str) -> None:
+    """Red is to be 0.004 beside its goal, the drawer 0.004 off where it is, the lamp halfway: 0.01 is as good as none.
+
+    A proposer that is shown an image cannot be told by its goal where red is to be.
+    """
+    actor, worker, proposer = made(steps=5)
+    proposer.reads = reads
+    change = np.array([1.004, 0.003, 0.004, 0.5], np.float32)
+    proposer.act = lambda observations, active: [Decision(change)]  # type: ignore[method-assign]
+    actor.reset([Goal(np.array([1.0, 0.0, 0.0, 1.0], np.float32))], [0])
+    actor.act(seen(0.0), [True])
+    red = [1.0, 0.0] if reads == "state" else [1.004, 0.003]
+    np.testing.assert_allclose(worker.last, [*red, 0.0, 0.5])
 
 
 def test_each_has_luck_of_its_own_and_sees_what_either_needs() -> None:
