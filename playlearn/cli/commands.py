@@ -97,6 +97,7 @@ def evaluate(arguments: argparse.Namespace) -> int:
         episodes=arguments.episodes,
         workers=arguments.workers,
         seed=arguments.seed,
+        references=not arguments.alone,
         overrides=arguments.overrides,
     )
     if arguments.json:
