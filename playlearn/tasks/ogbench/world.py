@@ -16,6 +16,7 @@ Actions (5,): 0.05 m, 0.3 rad of yaw and a whole opening, relative to where the 
 """
 
 import copy
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, Self
 
@@ -263,7 +264,9 @@ def _reproducible(kind: Any) -> Any:
 
         @property
         def action_space(self) -> Any:
-            space = super().action_space
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # that float64 bounds become float32
+                space = super().action_space
             space.seed(int(self.np_random.integers(2**31)))  # theirs begins with the system's entropy
             return space
 

@@ -1,0 +1,221 @@
+"""OGBench's worlds are OGBench's: the same dynamics, pixels, starts, goals and play, bit for bit where that can be."""
+
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from playlearn.config import from_dict
+from playlearn.episode import Goal
+from playlearn.errors import UsageError
+from playlearn.evaluate import load_suite
+from playlearn.relabel import SettlingConfig, Table
+from playlearn.rollout import rollout
+from playlearn.sim import CameraConfig, EnvironmentConfig
+from playlearn.tasks import LiftConfig, OgbenchCubeConfig, OgbenchPlayConfig, OgbenchSceneConfig
+from playlearn.teleop import PlayConfig, expert_for
+
+SUITES = Path(__file__).parents[2] / "eval" / "suites"
+
+pytest.importorskip("ogbench", reason="the extra `ogbench` is not installed")
+
+
+@pytest.fixture(scope="module")
+def scene() -> Any:
+    return OgbenchSceneConfig().build()
+
+
+@pytest.fixture(scope="module")
+def two() -> Any:
+    return OgbenchCubeConfig(cubes=2).build()
+
+
+def theirs(kind: str, **options: Any) -> Any:
+    from ogbench.manipspace.envs.cube_env import CubeEnv
+    from ogbench.manipspace.envs.scene_env import SceneEnv
+
+    options |= {"mode": "data_collection", "terminate_at_goal": False, "visualize_info": False}
+    return SceneEnv("scene", **options) if kind == "scene" else CubeEnv(kind, **options)
+
+
+@pytest.mark.parametrize("kind", ["double", "scene"])
+def test_a_step_is_ogbenchs_own_bit_for_bit(kind: str, scene: Any, two: Any) -> None:
+    """Clones, restored states and renderings in between change nothing."""
+    world, other = {"double": two, "scene": scene}[kind], theirs(kind)
+    world.reset(5)
+    other.reset(seed=5)
+    rng = np.random.default_rng(5)
+    for t in range(60):
+        # Down on a button, where there is one: its switch is what MuJoCo does not know.
+        target = np.array([0.58, -0.05, 0.19 if t < 25 else 0.09])
+        towards = np.clip((target - world.observe().state[:3]) / 0.05, -1, 1)
+        action = np.array([*towards, rng.uniform(-1, 1), 1.0])
+        *_, info = other.step(action)
+        world.step(action)
+        if t % 20 == 10:
+            saved = world.sim_state()
+            twin = world.clone()
+            twin.step(-action)
+            world.set_state(saved)
+    np.testing.assert_array_equal(world.data.qpos, info["qpos"])
+    np.testing.assert_array_equal(world.data.qvel, info["qvel"])
+    seen = world.observe()
+    np.testing.assert_allclose(seen.state[:3], info["proprio/effector_pos"], atol=1e-7)  # float32
+    np.testing.assert_allclose(np.arctan2(seen.state[4], seen.state[3]), info["proprio/effector_yaw"][0], atol=1e-6)
+    np.testing.assert_allclose(1 - seen.state[5] / 0.085, info["proprio/gripper_opening"][0], atol=1e-6)
+    np.testing.assert_allclose(seen.state[6], info["proprio/gripper_contact"][0], atol=1e-6)
+    np.testing.assert_allclose(seen.achieved[:3], info["privileged/block_0_pos"], atol=1e-6)
+    if kind == "scene":
+        np.testing.assert_array_equal(seen.achieved[[8, 12]], info["button_states"])
+        np.testing.assert_allclose(seen.achieved[13:16], info["privileged/drawer_handle_pos"], atol=1e-6)
+        np.testing.assert_allclose(seen.achieved[16:19], info["privileged/window_handle_pos"], atol=1e-6)
+
+
+def test_what_exact_pictures_show_is_what_ogbench_shows_and_quick_ones_are_near() -> None:
+    from mujoco import Renderer
+
+    exact, quick = OgbenchSceneConfig(exact=True).build(), OgbenchSceneConfig().build()
+    other = theirs("scene", ob_type="pixels", width=64, height=64)
+    for world in (exact, quick):
+        world.reset(3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        other._ob_type = "states"  # the scene of the pixel worlds, drawn by us
+        mjcf = type(other).build_mjcf_model
+        other._ob_type = "pixels"
+        other._mjcf_model = mjcf(other)
+        other._ob_type = "states"
+        other.reset(seed=3)
+    renderer = Renderer(other.model, 64, 64)
+    renderer.update_scene(other.data, camera="front_pixels")
+    expected = renderer.render()
+    renderer.close()
+    picture = exact.render("front")
+    np.testing.assert_array_equal(picture, expected)
+    state = exact.sim_state()
+    exact.reset(4)
+    exact.set_state(state)
+    np.testing.assert_array_equal(exact.render("front"), picture)
+    off = np.abs(quick.render("front").astype(int) - picture)
+    assert off.mean() < 4  # of 255: meshes as fine as 64 rows can show, and no multisampling of theirs
+
+
+def test_the_protocol_is_theirs(scene: Any, two: Any) -> None:
+    """The tables' numbers: five tasks of 50 episodes, 200, 500 and 750 steps, success as soon as it is there."""
+    import ogbench.manipspace  # noqa: F401 - registers
+    from gymnasium.envs.registration import registry
+
+    names = {"cube_single": "cube-single-v0", "cube_double": "cube-double-v0", "scene": "scene-v0"}
+    for name, theirs in names.items():
+        suite = load_suite(SUITES / f"ogbench_{name}.yaml")
+        assert suite.max_steps == registry[theirs].max_episode_steps
+        assert (suite.episodes, suite.hold) == (250, 1)
+    for world in (scene, two):
+        assert list(world.tasks) == [info["task_name"] for info in world.env.task_infos]
+        assert len(world.tasks) == 5
+
+
+def test_tasks_are_posed_as_ogbench_poses_them(two: Any) -> None:
+    """Starts within 1 cm of the nominal places, goals where they have settled; both in an order drawn for both."""
+    kind = load_suite(SUITES / "ogbench_cube_double.yaml").kind
+    orders = set()
+    for episode in range(8):
+        setup = kind.setup(two, None, episode, 0, 500, ())
+        again = kind.setup(two, None, episode, 0, 500, ())
+        np.testing.assert_array_equal(setup.start, again.start)
+        np.testing.assert_array_equal(setup.goal_state, again.goal_state)
+        info = two.env.task_infos[episode % 5]
+        start, goal = setup.start_achieved.reshape(-1, 5), setup.goal.achieved.reshape(-1, 5)
+        order = [int(np.abs(info["init_xyzs"] - row[:3]).sum(axis=1).argmin()) for row in start]
+        orders.add(tuple(order))
+        assert np.abs(start[:, :3] - info["init_xyzs"][order]).max() <= 0.01 + 1e-6
+        assert np.abs(goal[:, :3] - info["goal_xyzs"][order]).max() < 2e-3
+        task = two.tasks[setup.task]
+        assert task.judge(start.ravel(), goal.ravel(), goal.ravel())
+        assert not task.judge(start.ravel(), start.ravel(), goal.ravel())
+        assert setup.goal.state is not None  # the arm, for goals that show everything
+        assert np.abs(setup.goal.state[:3] - two.observe().state[:3]).max() < 1e-6
+    assert len(orders) == 2
+
+
+def test_success_is_theirs(scene: Any) -> None:
+    """Within 4 cm in space, of joints for drawer and window, and every button as shown."""
+    task = scene.tasks["task3_rearrange_medium"]
+    goal = task.command(scene.observe().achieved, np.random.default_rng(0))
+    for column, by in ((0, 0.039), (2, 0.039), (14, 0.039), (16, -0.039)):
+        near, far = goal.copy(), goal.copy()
+        near[column] += by
+        far[column] += by * 0.041 / 0.039
+        assert task.judge(goal, near, goal)
+        assert not task.judge(goal, far, goal)
+    for column in (8, 12):
+        other = goal.copy()
+        other[column] = 1 - other[column]
+        assert not task.judge(goal, other, goal)
+    both = goal.copy()
+    both[[0, 1]] += 0.03  # 4.2 cm
+    assert not task.judge(goal, both, goal)
+
+
+def test_the_expert_does_the_hardest_tasks(scene: Any, two: Any) -> None:
+    """A swap needs a cube laid aside; the hardest of the scene eight things in their order."""
+    for world, name, steps in ((two, "task4_swap", 500), (scene, "task5_rearrange_hard", 750)):
+        task, expert = world.tasks[name], expert_for(world)
+        goal_state = task.pose(world, np.random.default_rng(1))
+        start = world.sim_state()
+        world.set_state(goal_state)
+        goal = world.observe().achieved
+        world.set_state(start)
+        outcome = rollout(
+            [world],
+            expert,
+            [Goal(goal)],
+            seeds=[0],
+            max_steps=steps,
+            stop=lambda _, seen, task=task, goal=goal: task.judge(goal, seen.achieved, goal),
+        )[0]
+        assert outcome.ended == "stopped", name
+
+
+def test_play_settles_on_many_things(scene: Any) -> None:
+    """A target takes 1.5 to 5 s: 300 steps hold several, and their skills say which."""
+    scene.reset(2)
+    player = OgbenchPlayConfig().build(scene)
+    episode = rollout([scene], player, [None], seeds=[2], max_steps=300)[0].episode
+    assert episode is not None
+    assert len(episode.meta.skills) >= 3
+    table = Table.build([episode.achieved], episode.meta.achieved_names, episode.meta.fps, SettlingConfig())
+    assert table.offsets[-1] >= 3
+    assert len({group for group, count in table.change_counts().items() if count}) >= 2
+
+
+def test_what_does_not_fit_is_said(scene: Any) -> None:
+    with pytest.raises(UsageError, match="cubes: between 1 and 4"):
+        from_dict(EnvironmentConfig, {"type": "ogbench_cube", "cubes": 9})
+    with pytest.raises(UsageError, match="no camera 'wrist'"):
+        OgbenchCubeConfig(cameras={"wrist": CameraConfig()})
+    with pytest.raises(UsageError, match="noise"):
+        OgbenchPlayConfig(noise=-1.0)
+    with pytest.raises(UsageError, match="nobody can drive 'ogbench_scene'"):
+        PlayConfig().build(scene)
+    with pytest.raises(UsageError, match="OGBench's own worlds alone"):
+        OgbenchPlayConfig().build(LiftConfig().build())
+    player = OgbenchPlayConfig().build(scene)
+    with pytest.raises(UsageError, match="one world at a time"):
+        player.reset([None, None], [0, 1])
+
+
+def test_without_the_extra_the_message_says_how_to_get_it() -> None:
+    code = (
+        "import sys; sys.modules['ogbench'] = None\n"
+        "from playlearn.tasks import OgbenchCubeConfig\n"
+        "from playlearn.errors import UsageError\n"
+        "try:\n    OgbenchCubeConfig().build()\n"
+        "except UsageError as error:\n    print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, check=True)
+    assert "pip install 'playlearn[ogbench]'" in done.stdout
