@@ -5,8 +5,8 @@ the far goal and what is seen it makes the change up to the next settled moment.
 is to be done first is often a free choice. After HIQL (Park et al. 2023), whose upper level proposes where to be in k
 steps; the next settled moment is what people would call the next step, and it holds still to be reached.
 
-What it proposes is a centimetre or two off. So of each thing that it proposes to leave where it is, or to bring where
-the far goal has it, exactly that is asked: as long as the environment calls the one as good as the other.
+What it proposes is a centimetre or two off. So of each thing that it proposes to leave about where it is, or to bring
+about where the far goal has it, exactly that is asked.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,6 +16,8 @@ import numpy as np
 from playlearn.episode import Array, Decision, Goal, Observation
 from playlearn.errors import UsageError
 from playlearn.policies.execution import PolicyActor
+
+NEAR = 0.3  # of a dimension's spread in play: some 4 cm of a block's place on a table
 
 Reached = Callable[[Array, Array], bool]  # (achieved, goal), each (G,)
 
@@ -45,6 +47,7 @@ class SubgoalActor:
         names = worker.policy.spec.achieved_names
         owners = np.array([name.partition(".")[0] for name in names])  # `red.x` is part `x` of thing `red`
         self._things = [owners == owner for owner in dict.fromkeys(owners.tolist())]
+        self._spread: Array = worker.policy.normaliser.get_buffer("achieved_std").cpu().numpy()
 
     @property
     def cameras(self) -> tuple[str, ...]:
@@ -83,16 +86,15 @@ class SubgoalActor:
             self._worker.show(k, Goal(subgoal))
 
     def _exact(self, k: int, now: Array, proposed: Array) -> Array:
-        """(G,) the proposal, each thing of it where it is or is to be, if that is as good."""
+        """(G,) the proposal, each thing of it where it is or is to be, whichever is nearer, where that is near."""
         goal = self._goals[k]
         known = [now] if goal is None or self._proposer.reads == "image" else [now, goal.achieved]
-        exact = proposed
+        exact = proposed.copy()
         for thing in self._things:
-            for place in known:
-                tried = np.where(thing, place, exact)
-                if self._reached(tried, proposed):
-                    exact = tried
-                    break
+            off = [float(np.max(np.abs(place - proposed)[thing] / self._spread[thing])) for place in known]
+            nearest = int(np.argmin(off))
+            if off[nearest] <= NEAR:
+                exact[thing] = known[nearest][thing]
         return exact
 
 

@@ -88,19 +88,21 @@ def test_a_subgoal_stays_until_it_is_reached_or_its_time_is_over() -> None:
 
 
 @pytest.mark.parametrize("reads", ["state", "image"])
-def test_what_is_as_good_is_asked_for_exactly(reads: str) -> None:
-    """Red is to be 0.004 beside its goal, the drawer 0.004 off where it is, the lamp halfway: 0.01 is as good as none.
+def test_what_is_near_is_asked_for_exactly(reads: str) -> None:
+    """In spreads: red is to be 0.2 beside its goal, the drawer 0.2 off where it is, the lamp halfway, 1 from either.
 
     A proposer that is shown an image cannot be told by its goal where red is to be.
     """
     actor, worker, proposer = made(steps=5)
     proposer.reads = reads
-    change = np.array([1.004, 0.003, 0.004, 0.5], np.float32)
+    spread = worker.policy.normaliser.get_buffer("achieved_std").numpy()
+    goal = spread * np.array([4.0, 0.0, 0.0, 2.0], np.float32)
+    change = spread * np.array([4.2, 0.1, 0.2, 1.0], np.float32)
     proposer.act = lambda observations, active: [Decision(change)]  # type: ignore[method-assign]
-    actor.reset([Goal(np.array([1.0, 0.0, 0.0, 1.0], np.float32))], [0])
+    actor.reset([Goal(goal)], [0])
     actor.act(seen(0.0), [True])
-    red = [1.0, 0.0] if reads == "state" else [1.004, 0.003]
-    np.testing.assert_allclose(worker.last, [*red, 0.0, 0.5])
+    red = [4.0, 0.0] if reads == "state" else [4.2, 0.1]
+    np.testing.assert_allclose(worker.last / spread, [*red, 0.0, 1.0], rtol=1e-5)
 
 
 def test_each_has_luck_of_its_own_and_sees_what_either_needs() -> None:
