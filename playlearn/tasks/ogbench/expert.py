@@ -10,9 +10,10 @@ from ogbench.manipspace.oracles.markov.drawer_markov import DrawerMarkovOracle
 from ogbench.manipspace.oracles.markov.window_markov import WindowMarkovOracle
 
 from playlearn.episode import Array, Decision, Goal, Observation
+from playlearn.store.ogbench import WIDEST
 from playlearn.tasks.ogbench.cube import places
 from playlearn.tasks.ogbench.scene import BLOCK, BUTTONS, DRAWER, DRAWER_Y, ON, OPENED, WINDOW, WINDOW_X, SceneWorld
-from playlearn.tasks.ogbench.world import WIDEST, OgbenchWorld
+from playlearn.tasks.ogbench.world import OgbenchWorld
 
 REST = (0.425, 0.0, 0.3)  # metres, where an idle hand waits
 UP = np.array([0.0, 0.0, 1.0, 0.0, -1.0])

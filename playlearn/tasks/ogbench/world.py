@@ -30,6 +30,7 @@ from playlearn.sim.environment import EnvironmentSpec, Task
 from playlearn.sim.gl import backend
 from playlearn.sim.lean import VISUAL_GROUP
 from playlearn.sim.render import Renderer
+from playlearn.store.ogbench import ACTION_NAMES, STATE_NAMES, WIDEST
 from playlearn.tasks.ogbench.config import WANTED, OgbenchConfig
 from playlearn.tasks.ogbench.picture import Pictures
 
@@ -39,15 +40,7 @@ try:
 except ImportError as error:
     raise UsageError(f"{WANTED} ({error})") from error
 
-JOINTS = range(6)
-STATE_NAMES = (
-    *("eef.x", "eef.y", "eef.z", "eef.c", "eef.s", "gripper.opening", "gripper.contact"),
-    *(f"arm.q{k}" for k in JOINTS),
-    *(f"arm.v{k}" for k in JOINTS),
-)
-ACTION_NAMES = ("dx", "dy", "dz", "dyaw", "gripper")
 TOLERANCE = 0.04  # metres, OGBench's own, of cubes, drawer and window
-WIDEST = 0.085  # metres between the fingers
 _SHUT = 0.8  # rad of the gripper's joint
 _HARD = 50.0  # newtons
 _SAVED = int(mujoco.mjtState.mjSTATE_FULLPHYSICS | mujoco.mjtState.mjSTATE_WARMSTART | mujoco.mjtState.mjSTATE_CTRL)
@@ -185,8 +178,12 @@ class OgbenchWorld:
         return state
 
     def set_state(self, sim_state: Array) -> None:
-        size = mujoco.mj_stateSize(self.model, _SAVED)
+        """Of a world of ours, or of a row of OGBench's datasets (see `playlearn.store.ogbench`)."""
+        size, coordinates = mujoco.mj_stateSize(self.model, _SAVED), self.model.nq + self.model.nv
         expected = size + _HAND + self._switches
+        if sim_state.shape == (coordinates + self._switches,):
+            self._set_coordinates(sim_state[:coordinates], sim_state[coordinates:])
+            return
         if sim_state.shape != (expected,):
             raise UsageError(f"a simulator state of {sim_state.shape} does not fit this scene, which has ({expected},)")
         hand, kept = sim_state[size : size + _HAND], sim_state[size + _HAND :]
@@ -243,6 +240,15 @@ class OgbenchWorld:
         """Nothing to give back: the GL context belongs to the process."""
 
     # Inside -------------------------------------------------------------------------------------------
+
+    def _set_coordinates(self, coordinates: Array, kept: Array) -> None:
+        """A state as OGBench's datasets have it: positions, velocities and switches; no force is felt in it."""
+        mujoco.mj_resetData(self.model, self.data)
+        self._keep(kept)
+        self._apply()
+        self.data.qpos[:], self.data.qvel[:] = np.split(coordinates, [self.model.nq])
+        mujoco.mj_forward(self.model, self.data)
+        self._contact = 0.0
 
     def _feel(self) -> None:
         """Read the force on a finger, which a restored state could not tell."""

@@ -1,0 +1,203 @@
+"""Import of robosuite's raw demonstrations (`collect_human_demonstrations`): simulator states and actions, no more.
+
+What was to be seen is read from each demonstration's own model, put into each of its states. A demonstration has T
+actions and the T states before them, so an episode has its first T - 1 actions.
+
+state       eef.x y z, eef.r00 r10 r20 r01 r11 r21 (two columns of its rotation), gripper.q0 ... (its joints)
+achieved    <joint>.x y z qw qx qy qz of what lies free, <joint>.pos of what turns or slides
+"""
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from playlearn.config import to_dict
+from playlearn.episode import Array, Episode, EpisodeMeta
+from playlearn.errors import EpisodeError, StoreError
+from playlearn.store.base import StoreSpec
+from playlearn.store.hdf5 import chosen, dataset, demonstrations, described, masks, opened
+from playlearn.store.robomimic import ACTIONS, FPS
+
+_PLACE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+_TURN = ("r00", "r10", "r20", "r01", "r11", "r21")
+_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+_SINGLE = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
+
+
+@dataclass(frozen=True)
+class RobosuiteConfig:
+    """mask: import only what is under this one. fps: control steps a second (null: as the file says, else 20)."""
+
+    mask: str | None = None
+    fps: float | None = None
+
+
+class RobosuiteFile:
+    """`Recordings` of one file."""
+
+    def __init__(self, path: Path, config: RobosuiteConfig | None = None) -> None:
+        """Looks at every demonstration's shapes, and compiles the first one's model.
+
+        Raises:
+            StoreError: it is no such file, or its first demonstration has no model that can be compiled.
+            UsageError: there is no such mask.
+        """
+        self._path, config = path, config or RobosuiteConfig()
+        with opened(path) as file:
+            names = demonstrations(file, path)
+            self.splits: Mapping[str, Sequence[int]] = masks(file, path, names)
+            wanted = chosen(config.mask, self.splits, path)
+            self._names = {number: name for number, name in names.items() if wanted is None or number in wanted}
+            data = file["data"]
+            self._problems = {
+                number: words for number, name in self._names.items() if (words := _wrong(path, name, data[name]))
+            }
+            sound = [number for number in self._names if number not in self._problems]
+            if not sound:
+                raise StoreError("\n".join(self._problems.values()))
+            first = data[self._names[sound[0]]]
+            scene = Scene(first.attrs["model_file"], f"{path}: {self._names[sound[0]]}")
+            info = described(data, "env_info")
+            kind = str(data.attrs.get("env", info.get("env_name", "unknown")))
+            width = int(dataset(first, "actions").shape[1])
+        self.spec = StoreSpec(
+            environment={"type": f"robosuite:{kind}", "env_info": info},
+            state_names=scene.state_names,
+            achieved_names=scene.achieved_names,
+            action_names=ACTIONS if width == len(ACTIONS) else tuple(f"action.{k}" for k in range(width)),
+            fps=float(config.fps or info.get("control_freq") or FPS),
+        )
+        self.note = {"format": "robosuite", "source": path.name, "bytes": path.stat().st_size} | to_dict(config)
+
+    def names(self) -> Mapping[int, str]:
+        return self._names
+
+    def problems(self) -> Mapping[int, str]:
+        return self._problems
+
+    def read(self, numbers: Sequence[int]) -> Iterator[tuple[int, Episode | StoreError]]:
+        with opened(self._path) as file:
+            for number in numbers:
+                name = f"{self._path}: {self._names[number]}"
+                try:
+                    yield number, self._episode(file["data"][self._names[number]], number, name)
+                except (EpisodeError, OSError) as error:
+                    yield number, StoreError(f"{name}: {error}")
+                except StoreError as error:
+                    yield number, error
+
+    def _episode(self, group: Any, number: int, name: str) -> Episode:
+        scene, states = Scene(group.attrs["model_file"], name), np.asarray(dataset(group, "states"), np.float64)
+        if (scene.state_names, scene.achieved_names) != (self.spec.state_names, self.spec.achieved_names):
+            raise StoreError(f"{name} is of another scene than the first demonstration: import it by itself")
+        state, achieved = scene.seen(states, name)
+        action = np.asarray(dataset(group, "actions")[:-1], np.float32)
+        meta = EpisodeMeta(
+            environment=self.spec.environment,
+            state_names=self.spec.state_names,
+            achieved_names=self.spec.achieved_names,
+            action_names=self.spec.action_names,
+            fps=self.spec.fps,
+            seed=number,
+            actor="demonstrator",
+        )
+        return Episode(
+            meta=meta,
+            state=state,
+            achieved=achieved,
+            sim_state=states,
+            time=np.arange(len(states)) / self.spec.fps,
+            action=action,
+            expert_action=action.copy(),
+            intervention=np.zeros(len(action), np.bool_),
+            skill=np.zeros(len(action), np.int16),
+        )
+
+
+class Scene:
+    """A demonstration's model, and what can be read in its states."""
+
+    def __init__(self, xml: str | bytes, name: str) -> None:
+        """Raises StoreError where it cannot be compiled, or asks for files that are not robosuite's."""
+        try:
+            spec = mujoco.MjSpec.from_string(_at_home(xml, name))
+            spec.compiler.discardvisual = True
+            self._model = spec.compile()
+        except (ValueError, ElementTree.ParseError) as error:
+            raise StoreError(f"{name}: its model cannot be compiled ({error})") from error
+        model = self._model
+        self._data = mujoco.MjData(model)
+        sites = [k for k in range(model.nsite) if model.site(k).name.endswith("grip_site")]
+        if not sites:
+            raise StoreError(f"{name}: its model has no hand (no site `..._grip_site`)")
+        self._site = sites[0]
+        joints = [model.joint(k) for k in range(model.njnt)]
+        self._fingers = [int(joint.qposadr[0]) for joint in joints if joint.name.startswith("gripper")]
+        self._things: list[int] = []
+        names: list[str] = []
+        for joint in joints:
+            if joint.name.startswith(("gripper", "robot")) or int(joint.type[0]) not in (_FREE, *_SINGLE):
+                continue
+            parts = _PLACE if int(joint.type[0]) == _FREE else ("pos",)
+            self._things += range(int(joint.qposadr[0]), int(joint.qposadr[0]) + len(parts))
+            names += [f"{joint.name}.{part}" for part in parts]
+        hand = [f"eef.{part}" for part in (*_PLACE[:3], *_TURN)]
+        self.state_names = (*hand, *(f"gripper.q{k}" for k in range(len(self._fingers))))
+        self.achieved_names = tuple(names)
+
+    def seen(self, states: Array, name: str) -> tuple[Array, Array]:
+        """State (T, S) and achieved (T, G), float32, of robosuite's flat states (T, 1 + nq + nv)."""
+        model, data = self._model, self._data
+        if states.ndim != 2 or states.shape[1] < 1 + model.nq + model.nv:
+            raise StoreError(
+                f"{name}: states of {states.shape} do not fit its model of {model.nq} + {model.nv} numbers"
+            )
+        rows = []
+        for qpos in states[:, 1 : 1 + model.nq]:
+            data.qpos[:] = qpos
+            mujoco.mj_kinematics(model, data)
+            turn = data.site_xmat[self._site].reshape(3, 3)[:, :2].T.ravel()
+            rows.append(np.concatenate([data.site_xpos[self._site], turn, qpos[self._fingers]]))
+        return np.array(rows, np.float32), states[:, 1 + np.array(self._things, int)].astype(np.float32)
+
+
+def _at_home(xml: str | bytes, name: str) -> str:
+    """The same XML with robosuite's files where they are here; a file that is not robosuite's is never read."""
+    import robosuite
+
+    home = Path(robosuite.__file__).resolve().parent
+    root = ElementTree.fromstring(xml)
+    for element in root.iter():
+        if element.tag == "include":
+            raise StoreError(f"{name}: its model includes other files, which are not read")
+        for attribute in ("meshdir", "texturedir", "assetdir"):
+            element.attrib.pop(attribute, None)
+        for attribute in [key for key in element.attrib if key.startswith("file")]:
+            parts = element.attrib[attribute].replace("\\", "/").split("/")
+            inside = parts[len(parts) - parts[::-1].index("robosuite") :] if "robosuite" in parts else [".."]
+            place = home.joinpath(*inside).resolve()
+            if not place.is_relative_to(home):
+                raise StoreError(f"{name}: its model asks for {element.attrib[attribute]}, which is not robosuite's")
+            element.set(attribute, str(place))
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _wrong(path: Path, name: str, group: Any) -> str | None:
+    """Why a demonstration cannot be read, as far as shapes tell."""
+    where = f"{path}: {name}"
+    if "model_file" not in group.attrs:
+        return f"{where} has no model (`model_file`): is this robomimic's? `playlearn import robomimic` reads that"
+    try:
+        states, actions = dataset(group, "states"), dataset(group, "actions")
+    except StoreError as error:
+        return str(error)
+    if actions.ndim != 2 or actions.shape[0] < 2:
+        return f"{where} has actions of {actions.shape}, and an episode needs two or more"
+    if states.shape[0] != actions.shape[0]:
+        return f"{where} has {states.shape[0]} states and {actions.shape[0]} actions"
+    return None
