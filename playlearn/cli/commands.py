@@ -3,6 +3,7 @@
 import argparse
 import json
 import sys
+from pathlib import Path
 from typing import Any
 
 from playlearn.errors import UsageError
@@ -169,6 +170,45 @@ def export(arguments: argparse.Namespace) -> int:
     if arguments.push:
         print(push(arguments.out, arguments.push, private=arguments.private))
     return DONE
+
+
+def import_(arguments: argparse.Namespace) -> int:
+    from playlearn.report.progress import Progress
+    from playlearn.store.importing import import_recordings
+
+    recordings = IMPORTS[arguments.format](arguments.source, arguments.overrides)
+    with Progress(f"import {arguments.out}", len(recordings.names()), "recording") as progress:
+        skip = arguments.skip_broken
+        store = import_recordings(recordings, arguments.out, skip_broken=skip, progress=progress.to, say=progress.say)
+    print(f"{arguments.out}: {len(store)} episodes, {int(store.lengths().sum())} steps")
+    for name, numbers in recordings.splits.items():
+        print(f"mask {name}: {len(numbers)} episodes")
+    return DONE
+
+
+def _robomimic(source: Path, overrides: list[str]) -> Any:
+    from playlearn.config import load_config
+    from playlearn.store.robomimic import RobomimicConfig, RobomimicFile
+
+    return RobomimicFile(source, load_config(RobomimicConfig, None, overrides))
+
+
+def _robosuite(source: Path, overrides: list[str]) -> Any:
+    from playlearn.config import load_config
+    from playlearn.store.robosuite_demos import RobosuiteConfig, RobosuiteFile
+
+    return RobosuiteFile(source, load_config(RobosuiteConfig, None, overrides))
+
+
+def _ogbench(source: Path, overrides: list[str]) -> Any:
+    from playlearn.store.ogbench import OgbenchFile
+
+    if overrides:
+        raise UsageError(f"unknown argument {overrides[0]}")
+    return OgbenchFile(source)
+
+
+IMPORTS = {"robomimic": _robomimic, "robosuite": _robosuite, "ogbench": _ogbench}
 
 
 def lab(arguments: argparse.Namespace) -> int:

@@ -121,6 +121,13 @@ def _parser() -> argparse.ArgumentParser:
     made.add_argument("--push", metavar="USER/NAME", help="upload the dataset to the Hub under this name")
     made.add_argument("--private", action="store_true", help="with --push: for yourself alone")
 
+    words = "put other people's recordings into a store"
+    made = verb(commands.import_, "import", words, free=True, kept=kept_too)
+    made.add_argument("format", choices=tuple(commands.IMPORTS))
+    made.add_argument("source", type=Path, metavar="SRC", help="robomimic's or robosuite's .hdf5, or OGBench's .npz")
+    made.add_argument("out", type=Path, metavar="OUT")
+    made.add_argument("--skip-broken", action="store_true", help="leave broken recordings out, and say which")
+
     made = verb(commands.lab, "lab", "run a small experiment and plot what came out", free=True)
     _config(made, "configs/lab/NAME.yaml")
 
