@@ -1,10 +1,7 @@
 """A store and a way of relabelling, turned into batches: a pure function of (seed, epoch, index)."""
 
 import dataclasses
-import queue
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, Literal, Self
@@ -15,6 +12,7 @@ from numpy.typing import NDArray
 
 from playlearn.episode import IMAGES, Array
 from playlearn.errors import StoreError, UsageError
+from playlearn.prefetch import prepared_ahead
 from playlearn.relabel import (
     UNIFORMS,
     GoalSamplerConfig,
@@ -23,6 +21,7 @@ from playlearn.relabel import (
     Table,
     counter_uniforms,
     leads_to_failure,
+    matching,
 )
 from playlearn.store import Store
 
@@ -102,7 +101,8 @@ class DataConfig:
         than this in some dimension (a mistake, a pause, a slip): the labels after it answer to another
         world than the one that executing the labels would have led to.
     labels: `actions`, what was done next; `change`, how the world will differ at the next settled moment, in place of
-        actions and as a chunk of 1: what a policy learns that proposes subgoals.
+        actions and as a chunk of 1: what a policy learns that proposes subgoals. detours: False: of changes only those
+        count after which fewer things differ from the goal; play wanders, and a proposer would wander with it.
     """
 
     goals: GoalSamplerConfig = field(default_factory=SettledConfig)
@@ -118,6 +118,7 @@ class DataConfig:
     failures: float = 1.0
     stray: float = 0.5
     labels: Literal["actions", "change"] = "actions"
+    detours: bool = True
 
     def build(self, store: Store, split: str, seed: int) -> "PlayDataset":
         """The dataset of one split, "train" or "heldout"."""
@@ -146,6 +147,7 @@ class PlayDataset:
         self.store, self.config, self.seed = store, config, seed
         learned = np.flatnonzero(~out).tolist()  # by either split, so that both mean the same by a settled moment
         self.table = Table.of_store(store, config.settling, config.goal_names, self.episodes.tolist(), learned)
+        self._spoken = matching(store.spec.achieved_names, config.goal_names)
         self.achieved = np.concatenate([store.array(int(i), "achieved") for i in self.episodes])  # (sum T+1, G)
         self.state = np.concatenate([store.array(int(i), "observation.state") for i in self.episodes])
         self.action = np.concatenate([store.array(int(i), "expert_action") for i in self.episodes])  # (sum T, A)
@@ -221,7 +223,7 @@ class PlayDataset:
         goals = (goal_row - self.table.rows[shown])[:, None]
         action, counts = self.action.take(labels, axis=0), ahead < limit[:, None]
         if config.labels == "change":
-            action, counts = self._change(episode, t)[:, None], np.ones((len(t), 1), np.bool_)
+            action, counts = self._change(episode, t)[:, None], self._counts(episode, t, goal_row)[:, None]
         return Batch(  # `take` is up to 20 times as quick as brackets, where rows are short
             state=torch.from_numpy(self.state.take(rows, axis=0)),
             achieved=torch.from_numpy(self.achieved.take(rows, axis=0)),
@@ -277,6 +279,20 @@ class PlayDataset:
         change: Array = self.achieved[row + settled] - self.achieved[row + t]
         return change
 
+    def _counts(self, episode: Indices, t: Indices, goal_row: Indices) -> NDArray[np.bool_]:
+        """(n,) whether the change ahead teaches anything, see `DataConfig.detours`."""
+        if self.config.detours:
+            return np.ones(len(t), np.bool_)
+        settled = self.table.moments[self.table.following(episode, t)]
+        goal = self.achieved[goal_row]
+        now, then = (
+            self.table.groups_apart(
+                self.achieved[self.table.rows[episode] + at][:, self._spoken], goal[:, self._spoken]
+            )
+            for at in (t, settled)
+        )
+        return np.asarray(then.sum(axis=1) < now.sum(axis=1))
+
     def _last_of_chunk(self, executed: Sequence[Array]) -> Indices:
         """(sum T,) the last step t' >= t whose label still follows from executing the labels from t on."""
         strayed = np.abs(np.concatenate(executed) - self.action).max(axis=1) > self.config.stray
@@ -305,39 +321,6 @@ class PlayDataset:
         )
         weights = counts[kind.reshape(-1)] ** -float(self.config.balance)
         return np.asarray(np.cumsum(weights / weights.sum()), np.float64)
-
-
-def prepared_ahead(make: Callable[[int], Batch], start_step: int) -> Iterator[Batch]:
-    """make(start_step), make(start_step + 1), ... prepared in a thread that ends when the iterator is closed."""
-    ready: queue.Queue[Batch | BaseException] = queue.Queue(maxsize=2)
-    stop = threading.Event()
-
-    def hand(item: Batch | BaseException) -> None:
-        while not stop.is_set():
-            with suppress(queue.Full):
-                ready.put(item, timeout=0.1)
-                return
-
-    def prepare() -> None:
-        step = start_step
-        try:
-            while not stop.is_set():
-                hand(make(step))
-                step += 1
-        except BaseException as error:  # noqa: BLE001 - raised again where the batches are used
-            hand(error)
-
-    thread = threading.Thread(target=prepare, name="batches", daemon=True)
-    thread.start()
-    try:
-        while True:
-            item = ready.get()
-            if isinstance(item, BaseException):
-                raise item
-            yield item
-    finally:
-        stop.set()
-        thread.join()
 
 
 def statistics(dataset: PlayDataset) -> dict[str, Statistics]:

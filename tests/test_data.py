@@ -249,6 +249,30 @@ def test_a_change_is_what_the_next_settled_moment_will_differ_in(tmp_path: Path)
         dataclasses.replace(config, chunk=8).build(store, "train", 0)
 
 
+def test_a_detour_teaches_no_proposer(tmp_path: Path) -> None:
+    """Red goes away (settled at 56) and comes back (106), then the lamp goes on (156).
+
+    Of the goals one to three settled moments ahead, those of the time before 50 are: red away (nearer: counts), red
+    back (nothing differs: a detour) and red back with the lamp on (as much differs after the change as before it).
+    """
+    achieved = np.zeros((201, 7), np.float32)
+    achieved[50:100, 0], achieved[150:, 6] = 0.1, 1.0
+    episode = dataclasses.replace(make_episode(np.random.default_rng(0), 200), achieved=achieved)
+    store = NativeStore.create(tmp_path / "play", StoreSpec.of(episode))
+    with store.writer() as writer:
+        writer.append(episode)
+    config = DataConfig(goals=SettledConfig(ahead=3), chunk=1, labels="change", detours=False, heldout_share=0.0)
+    data = config.build(store, "train", 0)
+    seen = np.arange(50)
+    for epoch in range(5):
+        goal = np.searchsorted([56, 106, 156], data.goals(epoch, seen), side="right")
+        counts = data.batch(epoch, seen).action_mask[:, 0].numpy()
+        np.testing.assert_array_equal(counts, goal == 1)
+        assert {1, 2, 3} == set(goal.tolist())
+    back = data.batch(0, np.arange(56, 100))  # from there on every goal is nearer once red is back
+    assert back.action_mask.all()
+
+
 def test_both_splits_have_the_thresholds_of_what_is_trained_on(tmp_path: Path) -> None:
     """Red moves 0.1 m in the episode that is trained on, 0.012 m in the held-out one: a change there, were it alone."""
     moved = [np.zeros((201, 7), np.float32) for _ in range(2)]

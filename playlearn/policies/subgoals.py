@@ -6,7 +6,8 @@ is to be done first is often a free choice. After HIQL (Park et al. 2023), whose
 steps; the next settled moment is what people would call the next step, and it holds still to be reached.
 
 What it proposes is a centimetre or two off. So of each thing that it proposes to leave about where it is, or to bring
-about where the far goal has it, exactly that is asked.
+about where the far goal has it, exactly that is asked. And where it proposes nothing that is not so already, the worker
+is shown the far goal itself for one plan.
 """
 
 from collections.abc import Callable, Sequence
@@ -81,8 +82,14 @@ class SubgoalActor:
             return
         changes = self._proposer.act(observations, due)
         for k in np.flatnonzero(due).tolist():
-            subgoal = self._exact(k, believed[k], (believed[k] + changes[k].action).astype(np.float32))
-            self._subgoals[k], self._until[k] = subgoal, self._moment + self._steps
+            subgoal, steps = (
+                self._exact(k, believed[k], (believed[k] + changes[k].action).astype(np.float32)),
+                self._steps,
+            )
+            goal = self._goals[k]
+            if goal is not None and self._proposer.reads == "state" and self._reached(believed[k], subgoal):
+                subgoal, steps = goal.achieved, self._worker.execute
+            self._subgoals[k], self._until[k] = subgoal, self._moment + steps
             self._worker.show(k, Goal(subgoal))
 
     def _exact(self, k: int, now: Array, proposed: Array) -> Array:

@@ -12,7 +12,7 @@ from playlearn.relabel.mixture import MixtureConfig, Share
 from playlearn.relabel.random import RandomConfig
 from playlearn.relabel.robot import RobotConfig
 from playlearn.relabel.settled import SettledConfig
-from playlearn.relabel.settling import SettlingConfig
+from playlearn.relabel.settling import SettlingConfig, matching
 from playlearn.relabel.table import Table
 from playlearn.relabel.uniform import FutureConfig, UniformConfig
 
@@ -36,4 +36,5 @@ __all__ = [
     "UniformConfig",
     "counter_uniforms",
     "leads_to_failure",
+    "matching",
 ]

@@ -34,6 +34,7 @@ Indices = NDArray[np.int64]
 STATE, ACHIEVED = STORED["state"], STORED["achieved"]
 
 
+NONE = np.zeros(0)
 Found = tuple[Sequence[int], Sequence[int], Sequence[Sequence[bool]]]  # moments (m), ends (m), changed (m, G)
 
 
@@ -65,6 +66,7 @@ class Table:
     offsets (N+1,): episode e has the settled moments offsets[e] ... offsets[e+1]-1.
     moments (M,), ends (M,): the observation at which each is settled, and the last it holds to.
     changed (M, G) bool: the dimensions that differ from the configuration before it; `names` says which they are.
+    change (G,): how far each dimension moves before it has changed; none where the moments are the robot's.
     next_moment (sum T,): the first settled moment (flat) later than each step; offsets[e+1] where none is.
     """
 
@@ -77,6 +79,7 @@ class Table:
     moments: Indices
     ends: Indices
     changed: NDArray[np.bool_]
+    change: NDArray[np.float64]
     next_moment: Indices
 
     @classmethod
@@ -90,7 +93,7 @@ class Table:
         change, rest = thresholds(settling.change, names, "change"), thresholds(settling.rest, names, "rest")
         window = settling.window(fps)
         found = [_settled(np.asarray(rows), change, rest, window) for rows in achieved]
-        return cls._of([len(rows) - 1 for rows in achieved], found, names, fps)
+        return cls._of([len(rows) - 1 for rows in achieved], found, names, fps, change)
 
     @classmethod
     def of_store(
@@ -118,14 +121,23 @@ class Table:
         if settling.source == "robot" or not spec.achieved_names:
             reader = RobotReader.measured(list(rows(learned, STATE)), spec.state_names, spec.fps, settling.robot)
             states = list(rows(episodes, STATE))
-            return cls._of([len(state) - 1 for state in states], [reader(state) for state in states], NAMES, spec.fps)
+            return cls._of(
+                [len(state) - 1 for state in states], [reader(state) for state in states], NAMES, spec.fps, NONE
+            )
         spoken = matching(spec.achieved_names, goal_names)
         names = [spec.achieved_names[k] for k in spoken]
         settling = settling.measured((one[:, spoken] for one in rows(learned, ACHIEVED)), names, spec.fps)
         return cls.build([one[:, spoken] for one in rows(episodes, ACHIEVED)], names, spec.fps, settling)
 
     @classmethod
-    def _of(cls, steps: Sequence[int], found: Sequence[Found], names: Sequence[str], fps: float) -> Self:
+    def _of(
+        cls,
+        steps: Sequence[int],
+        found: Sequence[Found],
+        names: Sequence[str],
+        fps: float,
+        change: NDArray[np.float64],
+    ) -> Self:
         """steps: T of each episode."""
         lengths = np.array(steps, np.int64)
         offsets = _running(np.array([len(moments) for moments, _, _ in found], np.int64))
@@ -143,6 +155,7 @@ class Table:
             moments=np.array([moment for moments, _, _ in found for moment in moments], np.int64),
             ends=np.array([end for _, ends, _ in found for end in ends], np.int64),
             changed=np.array([row for _, _, rows in found for row in rows], np.bool_).reshape(-1, len(names)),
+            change=change,
             next_moment=np.concatenate([np.zeros(0, np.int64), *after]).astype(np.int64),
         )
 
@@ -173,13 +186,21 @@ class Table:
 
     def changed_groups(self) -> NDArray[np.bool_]:
         """(M, groups) which group changed at each settled moment."""
-        owners = np.array([name.split(".")[0] for name in self.names])
-        columns = [self.changed[:, owners == group].any(axis=1) for group in self.groups()]
-        return np.stack(columns, axis=1) if columns else np.zeros((len(self.changed), 0), np.bool_)
+        return self._by_group(self.changed)
+
+    def groups_apart(self, one: Array, other: Array) -> NDArray[np.bool_]:
+        """(n, groups) in which groups two sets of achieved goals (n, G) differ by more than `change`."""
+        return self._by_group(np.abs(one - other) > self.change)
 
     def change_counts(self) -> dict[str, int]:
         """How often each group changed: what there is to learn from."""
         return dict(zip(self.groups(), self.changed_groups().sum(axis=0).tolist(), strict=True))
+
+    def _by_group(self, flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(n, G) -> (n, groups): whether any dimension of a group has its flag set."""
+        owners = np.array([name.split(".")[0] for name in self.names])
+        columns = [flags[:, owners == group].any(axis=1) for group in self.groups()]
+        return np.stack(columns, axis=1) if columns else np.zeros((len(flags), 0), np.bool_)
 
     def _next(self, episode: int) -> Indices:
         return self.next_moment[self.starts[episode] : self.starts[episode + 1]]

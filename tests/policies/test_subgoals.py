@@ -105,6 +105,16 @@ def test_what_is_near_is_asked_for_exactly(reads: str) -> None:
     np.testing.assert_allclose(worker.last / spread, [*red, 0.0, 1.0], rtol=1e-5)
 
 
+def test_a_proposal_of_nothing_new_is_no_subgoal() -> None:
+    """The far goal is shown in its stead, and the next look is soon, though a subgoal would have 50 steps."""
+    actor, worker, proposer = made(steps=50)
+    proposer.act = lambda observations, active: [Decision(at(0.0))]  # type: ignore[method-assign]
+    actor.reset(goals(1.0), [0])
+    for _ in range(4):
+        actor.act(seen(0.0), [True])
+    assert worker.shown == [(0, 0, 1.0), (2, 0, 1.0)]
+
+
 def test_each_has_luck_of_its_own_and_sees_what_either_needs() -> None:
     actor, worker, proposer = made(steps=5)
     actor.reset(goals(1.0, 2.0), [7, 8])
