@@ -18,7 +18,7 @@ import yaml
 from playlearn.config import atomic_write, from_dict, to_dict, versions
 from playlearn.data import DataConfig, PlayDataset
 from playlearn.episode import read_annotation
-from playlearn.errors import PlaylearnError, UsageError
+from playlearn.errors import PlaylearnError, StoreError, UsageError
 from playlearn.evaluate import Contender, Expert, SuiteConfig, load_suite, scripted, trained
 from playlearn.evaluate.causes import CAUSES, ENDED, CausesConfig, Finding, by_grasp, find_cause
 from playlearn.evaluate.cohort import Attempt, Track, lost, run_cohort, world_of
@@ -30,7 +30,7 @@ from playlearn.report.intervals import wilson
 from playlearn.report.progress import Progress
 from playlearn.rollout import Actor
 from playlearn.sim.environment import Environment
-from playlearn.store import open_store
+from playlearn.store import described, open_store
 
 STRIPS = 2  # of each cause
 EXAMPLES = 2048  # of held-out play, on which actions are compared
@@ -257,12 +257,16 @@ def action_errors(run: Path) -> Row:
     none: Row = {"skills": {}, "examples": 0, "note": ""}
     path = run / "config.yaml"
     raw = yaml.safe_load(path.read_text()) if path.is_file() else None
-    if not raw or not Path(raw["store"]).exists():
-        return none | {"note": "not measured: the run's play is not there"}
+    gone = none | {"note": "not measured: the run's play is not there"}
+    if not raw:
+        return gone
+    try:
+        store = open_store(described(raw["store"]))
+    except StoreError:
+        return gone
     data = from_dict(DataConfig, raw["data"])
     if data.heldout_share <= 0:
         return none | {"note": "not measured: the run held no play out"}
-    store = open_store(Path(raw["store"]))
     dataset: PlayDataset = data.build(store, "heldout", int(raw.get("seed", 0)))
     policy = Policy.load(run / "policy").eval()
     names = [store.meta(int(i)).skills for i in range(len(store))]

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from playlearn.data import Batch, DataConfig, Indices, PlayDataset, prepared_ahead
+from playlearn.data import Batch, DataConfig, Indices, PlayDataset
 from playlearn.errors import UsageError
-from playlearn.store import Store, open_store
+from playlearn.prefetch import prepared_ahead
+from playlearn.store import Store, StoreConfig, open_store
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,7 @@ class Source:
     share: of all examples shown. data: how examples are cut from it (null: as from the run's own play).
     """
 
-    store: Path
+    store: Path | StoreConfig
     share: float
     data: DataConfig | None = None
 
@@ -104,7 +105,17 @@ def _check_same(own: PlayDataset, other: Store) -> None:
     mine, its = own.store.spec, other.spec
     seen = (*own.config.cameras, *own.config.goal_cameras)
     named = ("state_names", "achieved_names", "action_names", "fps")
-    apart = [name for name in named if getattr(mine, name) != getattr(its, name)]
-    apart += [f"size of {camera}" for camera in seen if own.store.cameras().get(camera) != other.cameras().get(camera)]
+    parts: list[tuple[str, Any, Any]] = [(name, getattr(mine, name), getattr(its, name)) for name in named]
+    sizes = own.store.cameras(), other.cameras()
+    parts += [(f"size of {camera}", sizes[0].get(camera), sizes[1].get(camera)) for camera in seen]
+    apart = [f"{name} ({_differ(one, another)})" for name, one, another in parts if one != another]
     if apart:
         raise UsageError(f"{other.name()} has another {', '.join(apart)} than {own.store.name()}: they cannot be mixed")
+
+
+def _differ(mine: Any, its: Any) -> str:
+    """Of two lists of names what only one of them has; of anything else both."""
+    if isinstance(mine, tuple) and isinstance(its, tuple) and set(mine) != set(its):
+        sides = {"it has": [name for name in its if name not in mine], "it lacks": [n for n in mine if n not in its]}
+        return "; ".join(f"{side} {', '.join(map(str, names))}" for side, names in sides.items() if names)
+    return f"{its}, not {mine}"

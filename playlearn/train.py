@@ -26,7 +26,7 @@ from playlearn.policies import Policy, PolicyConfig, PolicySpec
 from playlearn.policies.checkpoint import load_checkpoint, save_checkpoint
 from playlearn.policies.ema import averaged
 from playlearn.report.progress import Progress
-from playlearn.store import Store, open_store
+from playlearn.store import Store, StoreConfig, open_store
 
 # What may differ between a run and its resumption: how long it goes on, and what it says meanwhile.
 ADJUSTABLE = ("steps", "max_minutes", "heldout_every", "checkpoint_every", "log_every", "tracker")
@@ -36,7 +36,8 @@ ADJUSTABLE = ("steps", "max_minutes", "heldout_every", "checkpoint_every", "log_
 class TrainConfig:
     """A training run.
 
-    store: the play. data: how examples are cut from it; its history, chunk, cameras and goal_names are the policy's.
+    store: the play, a folder or a kind with its settings (`{type: lerobot, repo_id: user/name}`). data: how examples
+    are cut from it; its history, chunk, cameras and goal_names are the policy's.
     corrections: moments with the hand put aside and the way back as label, made before the first update and shown
     among the recorded ones (see CorrectionsConfig); null for none.
     more: further play beside it, each store with its share of every batch. init: a run from whose policy training goes
@@ -50,7 +51,7 @@ class TrainConfig:
     cpu: stay off an accelerator that is there.
     """
 
-    store: Path = Path("datasets/play")
+    store: Path | StoreConfig = Path("datasets/play")
     data: DataConfig = field(default_factory=DataConfig)
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     corrections: CorrectionsConfig | None = None
@@ -147,6 +148,7 @@ class _Run:
             cameras={camera: (int(h), int(w)) for camera, (h, w) in store.cameras().items()},
             controller=store.meta(0).controller,
             predicts=config.data.labels,
+            bounded=bool(np.abs(self.data.action).max() <= 1),
         )
         self.examples = mix(self.data, config.more, config.seed)
         policy = self._begun()
@@ -295,7 +297,7 @@ class _Run:
             "threads": torch.get_num_threads(),
             "parameters": sum(parameter.numel() for parameter in self.policy.parameters()),
             "examples": len(self.data),
-            "store": {"path": str(self.config.store), "episodes": len(self.store)},
+            "store": {"path": self.store.name(), "episodes": len(self.store)},
             "environment": dict(self.store.spec.environment),
         }
         atomic_write(self.out / "run.json", json.dumps(record, indent=2, default=dict).encode())
@@ -350,11 +352,13 @@ def _check_cameras(config: TrainConfig, store: Store) -> None:
     has = store.cameras()
     missing = [camera for camera in (*config.data.cameras, *config.data.goal_cameras) if camera not in has]
     if missing:
-        wanted = " ".join(f"--camera {camera}=64x64" for camera in dict.fromkeys(missing))
-        raise UsageError(
-            f"{config.store} has no images of {', '.join(dict.fromkeys(missing))}; "
-            f"`playlearn render {config.store} OUT {wanted}` draws them from its simulator states"
-        )
+        missing = list(dict.fromkeys(missing))
+        there = ", ".join(f"{camera} {h}x{w}" for camera, (h, w) in has.items()) or "none"
+        wanted = " ".join(f"--camera {camera}=64x64" for camera in missing)
+        drawn = f"`playlearn render {store.name()} OUT {wanted}` draws them from its simulator states"
+        chosen = "name its own in `policy.encoder`"
+        way = drawn if store.array(0, "sim.state").shape[1] else chosen
+        raise UsageError(f"{store.name()} has no images of {', '.join(missing)} (it has: {there}); {way}")
 
 
 def _heldout(config: TrainConfig, store: Store) -> list[Batch]:

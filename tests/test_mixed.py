@@ -18,9 +18,9 @@ from playlearn.errors import CheckpointError, StoreError, UsageError
 from playlearn.mixed import Mixed, Source, mix
 from playlearn.policies import Policy
 from playlearn.relabel import FinalConfig
-from playlearn.store import open_store
+from playlearn.store import NativeStore, StoreSpec, open_store
 from playlearn.train import train
-from tests.synthetic import make_store
+from tests.synthetic import make_episode, make_store
 from tests.test_train import config as training
 
 torch.set_num_threads(1)
@@ -141,3 +141,16 @@ def test_a_source_is_cut_as_the_policy_asks() -> None:
     assert (first.data.chunk, first.data.stray) == (4, 0.1)
     assert second.data == resolved.data
     assert from_dict(type(resolved), {"store": "play"}).more == ()
+
+
+def test_what_does_not_fit_is_told_of_both(tmp_path: Path) -> None:
+    mine = make_store(tmp_path / "mine", np.random.default_rng(0), 2, 60)
+    episode = make_episode(np.random.default_rng(0), 60)
+    meta = replace(episode.meta, fps=10.0, action_names=("dx", "dy", "dz", "grip"))
+    other = NativeStore.create(tmp_path / "other", StoreSpec.of(replace(episode, meta=meta)))
+    with other.writer() as writer:
+        writer.append(replace(episode, meta=meta))
+    own = PlayDataset(mine, DataConfig(heldout_share=0))
+    words = r"another action_names \(it has grip; it lacks gripper\), fps \(10.0, not 20.0\) than"
+    with pytest.raises(UsageError, match=words):
+        mix(own, [Source(tmp_path / "other", 0.5)], 0)

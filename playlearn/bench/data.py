@@ -23,7 +23,7 @@ from playlearn.collect import CollectConfig, collect
 from playlearn.data import Batch, DataConfig, PlayDataset
 from playlearn.relabel import UniformConfig
 from playlearn.sim import CameraConfig
-from playlearn.store import NativeStore
+from playlearn.store import LeRobotStoreConfig, NativeStore
 from playlearn.store.lerobot.export import Codec, export_lerobot
 from playlearn.tasks import PlayTableConfig
 
@@ -55,6 +55,11 @@ def reading(size: Size) -> list[Figure]:
             )
             named = f"goal batches of {EXAMPLES}, chunk {CHUNK}, {kind}"
             figures.append(Figure.beside(named, "batches/s", measured, f"LeRobotDataset, {kind}"))
+            for epoch, rate in _epochs(exported, config, Path(folder) / "frames" / kind).items():
+                told = {"ours": rate, "peer": measured["peer"]}
+                figures.append(
+                    Figure.beside(f"as a store, {epoch}, {kind}", "batches/s", told, f"LeRobotDataset, {kind}")
+                )
     return figures
 
 
@@ -62,6 +67,16 @@ def _store(out: Path, size: Size) -> NativeStore:
     world = PlayTableConfig(cameras={name: CameraConfig(SIDE, SIDE) for name in CAMERAS})
     collect(CollectConfig(environment=world, cameras=CAMERAS, episodes=4, steps=size.steps, seed=SEED), out, workers=0)
     return NativeStore.open(out)
+
+
+def _epochs(exported: Path, config: DataConfig, cache: Path) -> dict[str, float]:
+    """Batches a second while each frame is decoded for the first time, and from then on."""
+    began = time.perf_counter()
+    dataset = PlayDataset(LeRobotStoreConfig(root=exported, cache=cache).build(), config, seed=SEED)
+    count, batches = max(1, len(dataset) // EXAMPLES), _our_batches(dataset)
+    _turn(batches, count)
+    first = time.perf_counter() - began  # with the opening
+    return {"first epoch": count / first, "second epoch": count / _turn(batches, count)[1]}
 
 
 def _turn(batches: Iterator[Any], count: int) -> tuple[int, float]:

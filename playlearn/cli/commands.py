@@ -149,6 +149,20 @@ def diagnose(arguments: argparse.Namespace) -> int:
 
 
 def export(arguments: argparse.Namespace) -> int:
+    return EXPORTS[arguments.format](arguments)
+
+
+def _export_policy(arguments: argparse.Namespace) -> int:
+    from playlearn.lerobot.publish import export_policy
+
+    export_policy(arguments.source, arguments.out)
+    print(
+        f"{arguments.out}: a policy for LeRobot; try `lerobot-eval --policy.path={arguments.out} --env.type=playlearn`"
+    )
+    return DONE
+
+
+def _export_lerobot(arguments: argparse.Namespace) -> int:
     from playlearn.config import load_config
     from playlearn.lerobot.goals import RelabelConfig
     from playlearn.lerobot.share import contents, push, share
@@ -161,7 +175,7 @@ def export(arguments: argparse.Namespace) -> int:
         raise UsageError(f"unknown argument {arguments.overrides[0]}; how goals are drawn is said with --goals")
     goals = load_config(RelabelConfig, None, kind + arguments.overrides) if kind else None
     if not (arguments.push and is_lerobot(arguments.out)):
-        content = contents(open_store(arguments.store), goals)
+        content = contents(open_store(arguments.source), goals, subtasks=arguments.subtasks)
         with Progress(f"export {arguments.out}", len(content), "episode") as progress:
             fidelity = share(content, arguments.out, arguments.videos, lambda done, _: progress.to(done))
         for camera, read in fidelity.items():
@@ -170,6 +184,9 @@ def export(arguments: argparse.Namespace) -> int:
     if arguments.push:
         print(push(arguments.out, arguments.push, private=arguments.private))
     return DONE
+
+
+EXPORTS = {"lerobot": _export_lerobot, "policy": _export_policy}
 
 
 def import_(arguments: argparse.Namespace) -> int:

@@ -99,9 +99,9 @@ def _parser() -> argparse.ArgumentParser:
     made.add_argument("--run", type=Path, required=True, metavar="RUN", help="the folder of a training run")
     _judged(made, "diagnosis.json and .html")
 
-    made = verb(commands.export, "export", "write a store in a format that others read", free=True)
-    made.add_argument("format", choices=("lerobot",))
-    made.add_argument("store", type=Path, metavar="STORE")
+    made = verb(commands.export, "export", "write a store, or a run's policy, in a format that others read", free=True)
+    made.add_argument("format", choices=tuple(commands.EXPORTS), help="a store as LeRobot's dataset; a run's policy")
+    made.add_argument("source", type=Path, metavar="STORE|RUN")
     made.add_argument("out", type=Path, metavar="OUT")
     made.add_argument(
         "--videos",
@@ -117,6 +117,11 @@ def _parser() -> argparse.ArgumentParser:
         metavar="SAMPLER",
         help="relabelled: each window of play an episode that carries its goal, drawn by a sampler (default settled; "
         "its fields are set as `--goals.ahead 2`)",
+    )
+    made.add_argument(
+        "--subtasks",
+        action="store_true",
+        help="skills as LeRobot's subtask annotation (`language_persistent`), which its viewer cannot show yet",
     )
     made.add_argument("--push", metavar="USER/NAME", help="upload the dataset to the Hub under this name")
     made.add_argument("--private", action="store_true", help="with --push: for yourself alone")

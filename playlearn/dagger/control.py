@@ -10,10 +10,10 @@ from playlearn.config import load_config
 from playlearn.dagger.config import DaggerConfig
 from playlearn.errors import UsageError
 from playlearn.evaluate import SuiteConfig
-from playlearn.store import NativeStore
+from playlearn.store import NativeStore, Store
 
 
-def player(config: DaggerConfig, store: Path, suite: SuiteConfig, cameras: tuple[str, ...]) -> CollectConfig:
+def player(config: DaggerConfig, store: Store, suite: SuiteConfig, cameras: tuple[str, ...]) -> CollectConfig:
     """How the control plays: as the run's own play was made, in the suite's world, seen as the policy sees it.
 
     Noise is injected as in DART (Laskey et al., 2017): executed noisy, labelled clean.
@@ -21,9 +21,11 @@ def player(config: DaggerConfig, store: Path, suite: SuiteConfig, cameras: tuple
     Raises:
         UsageError: nobody says how the play was made.
     """
-    path = config.collect or store / RESOLVED
+    path = config.collect or Path(store.name()) / RESOLVED
     if not path.is_file():
-        raise UsageError(f"{store} does not say how it was played (no {RESOLVED}): name a config with `--collect FILE`")
+        raise UsageError(
+            f"{store.name()} does not say how it was played (no {RESOLVED}): name a config with `--collect FILE`"
+        )
     made = load_config(CollectConfig, path)
     play = made.play.noisier(config.noise) if config.control == "noise" else made.play
     return replace(made, environment=suite.environment, cameras=cameras, play=play)

@@ -171,7 +171,7 @@ class _Job:
 
     def playing(self) -> CollectConfig:
         """How a control plays."""
-        return player(self.config, self.training.store, self.suite, self.trained(self.run).cameras())
+        return player(self.config, open_store(self.training.store), self.suite, self.trained(self.run).cameras())
 
     def trained(self, run: Path) -> Trained:
         """The policy of a run as it practises."""

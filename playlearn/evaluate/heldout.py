@@ -18,7 +18,7 @@ from playlearn.evaluate.suite import Judge, Setup, SuiteKind, derived_seed, goal
 from playlearn.relabel import SettlingConfig, Table
 from playlearn.rollout import Actor
 from playlearn.sim.environment import Environment
-from playlearn.store import Store, open_store
+from playlearn.store import Store, StoreConfig, described, open_store
 
 RUN_CONFIG = "config.yaml"
 
@@ -35,7 +35,7 @@ class HeldoutConfig(SuiteKind):
     that was held out (null: as the run was trained). seconds: between which times the goal lies.
     """
 
-    store: Path | None = None
+    store: Path | StoreConfig | None = None
     share: float | None = None
     seconds: tuple[float, float] = (2.0, 4.0)
     settling: SettlingConfig = field(default_factory=SettlingConfig)
@@ -107,13 +107,15 @@ class HeldoutConfig(SuiteKind):
 
 
 @cache
-def _candidates(path: Path, share: float, settling: str) -> tuple[Store, tuple[tuple[int, int, str], ...]]:
+def _candidates(
+    path: Path | StoreConfig, share: float, settling: str
+) -> tuple[Store, tuple[tuple[int, int, str], ...]]:
     """The store, and every settled moment of its held-out episodes: episode, moment, what had changed."""
     store = open_store(path)
     heldout = heldout_episodes(store.indices(), share)
     out, trained = np.flatnonzero(heldout), np.flatnonzero(~heldout)
     if len(out) == 0:
-        raise StoreError(f"{path} has no held-out episodes among its {len(store)}: collect more play")
+        raise StoreError(f"{store.name()} has no held-out episodes among its {len(store)}: collect more play")
     config = from_dict(SettlingConfig, json.loads(settling))
     table = Table.of_store(store, config, episodes=out.tolist(), learned=trained.tolist())
     groups = np.array(table.groups())
@@ -123,16 +125,15 @@ def _candidates(path: Path, share: float, settling: str) -> tuple[Store, tuple[t
         for m in range(table.offsets[e], table.offsets[e + 1])
     ]
     if not moments:
-        raise StoreError(f"nothing changed and came to rest in the {len(out)} held-out episodes of {path}")
+        raise StoreError(f"nothing changed and came to rest in the {len(out)} held-out episodes of {store.name()}")
     return store, tuple(moments)
 
 
-def _training(run: Path) -> tuple[Path | None, float | None]:
+def _training(run: Path) -> tuple[Path | StoreConfig | None, float | None]:
     """The store and the held-out share that a run was trained with."""
     path = run / RUN_CONFIG
     if not path.is_file():
         return None, None
     config = yaml.safe_load(path.read_text()) or {}
     store = config.get("store")
-    store = store.get("path") if isinstance(store, dict) else store
-    return (None if store is None else Path(store)), (config.get("data") or {}).get("heldout_share")
+    return (None if store is None else described(store)), (config.get("data") or {}).get("heldout_share")

@@ -66,10 +66,14 @@ class Window:
 
 @dataclass
 class Windows:
-    """A store relabelled: one entry a window (see `content.Content`)."""
+    """A store relabelled: one entry a window (see `content.Content`). annotated: with skills as subtasks.
+
+    The task of a window is its episode's, or the skill that brings the goal about, in words.
+    """
 
     store: Store
     config: RelabelConfig
+    annotated: bool = False
 
     def __len__(self) -> int:
         return len(self.windows)
@@ -142,4 +146,5 @@ class Windows:
         shown = {GOAL_IMAGES + camera: held(IMAGES + camera) for camera in self.cameras}
         spoken = subtasks(episode, window.begin, window.goal)
         task = episode.meta.task or (spoken[-1][1] if spoken else PLAY)
-        return Entry(columns | {GOAL_STATE: goal, SUCCESS: reached} | shown, task, spoken)
+        columns |= {GOAL_STATE: goal, SUCCESS: reached} | shown
+        return Entry(columns, (task,) * count, spoken if self.annotated else ())

@@ -29,9 +29,9 @@ def share(content: Content, out: Path, videos: Codec | None, progress: Said | No
     return write_lerobot(content, out, videos=videos, progress=progress, beside=beside)
 
 
-def contents(store: Store, goals: RelabelConfig | None) -> Content:
-    """What is to be written of a store."""
-    return Play(store) if goals is None else Windows(store, goals)
+def contents(store: Store, goals: RelabelConfig | None = None, *, subtasks: bool = False) -> Content:
+    """What is to be written of a store. goals: relabelled. subtasks: skills as LeRobot's subtask annotation."""
+    return Play(store, subtasks) if goals is None else Windows(store, goals, subtasks)
 
 
 def push(root: Path, repo_id: str, *, private: bool) -> str:

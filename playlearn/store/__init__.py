@@ -1,7 +1,10 @@
 """Episodes at rest."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
+from playlearn.config import from_dict
 from playlearn.store.base import Store, StoreConfig, StoreSpec, with_images
 from playlearn.store.folder import episode_path
 from playlearn.store.lerobot import LeRobotStoreConfig
@@ -15,11 +18,17 @@ __all__ = [
     "StoreConfig",
     "StoreSpec",
     "Writer",
+    "described",
     "episode_path",
     "open_store",
     "with_images",
     "write_episode",
 ]
+
+
+def described(raw: Any) -> Path | StoreConfig:
+    """What `store:` says in a config that was saved: a folder, or a kind with its settings."""
+    return from_dict(StoreConfig, raw) if isinstance(raw, Mapping) else Path(raw)
 
 
 def open_store(where: Path | str | StoreConfig) -> Store:

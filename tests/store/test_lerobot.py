@@ -12,7 +12,7 @@ from playlearn.errors import StoreError
 from playlearn.store import NativeStore, StoreSpec
 from playlearn.store.lerobot import export as exporting
 from playlearn.store.lerobot.content import PLAY, Content, Play
-from playlearn.store.lerobot.export import Codec, export_lerobot
+from playlearn.store.lerobot.export import Codec, export_lerobot, write_lerobot
 from tests.synthetic import SKILLS, make_episode, make_store
 
 # What LeRobot and the packages below it warn of is theirs to mend.
@@ -71,11 +71,7 @@ def test_lerobot_reads_every_frame_back(store: NativeStore, exported: Path) -> N
             for camera in CAMERAS:
                 picture = np.rint(np.moveaxis(read[f"observation.images.{camera}"].numpy() * 255, 0, -1))
                 np.testing.assert_array_equal(picture, episode.images[camera][t])
-            assert read["task"] == PLAY
-            # what is being done: the last annotation that has begun
-            begun = [row for row in read["language_persistent"] if row["timestamp"] <= t / 20 + 1e-6]
-            assert begun[-1]["content"] == SKILLS[episode.skill[t]]
-            assert {row["style"] for row in begun} == {"subtask"}
+            assert read["task"] == SKILLS[episode.skill[t]]
             assert not read["intervention"]
         at += length
     assert dataset.meta.features["action"]["names"] == list(store.spec.action_names)
@@ -102,6 +98,21 @@ def test_a_store_without_images_can_be_exported(cache: Path, tmp_path: Path) -> 
     assert (tmp_path / "out" / "meta" / "info.json").exists()
 
 
+def test_skills_are_subtasks_for_who_asks(store: NativeStore, cache: Path, tmp_path: Path) -> None:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    write_lerobot(Play(store, annotated=True), tmp_path / "out")
+    dataset = LeRobotDataset("local/out", root=tmp_path / "out")
+    episode = store.read(0)
+    for t in range(len(episode)):
+        read = dataset[t]
+        assert read["task"] == PLAY
+        # what is being done: the last annotation that has begun
+        begun = [row for row in read["language_persistent"] if row["timestamp"] <= t / 20 + 1e-6]
+        assert begun[-1]["content"] == SKILLS[episode.skill[t]]
+        assert {row["style"] for row in begun} == {"subtask"}
+
+
 def test_success_is_told_where_every_episode_had_a_task(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     tried = [make_episode(rng, 5, task="open the drawer", ended=ended) for ended in ("stopped", "length")]
@@ -109,11 +120,11 @@ def test_success_is_told_where_every_episode_had_a_task(tmp_path: Path) -> None:
     tried[0].intervention[2] = True
     content = Play(_stored(tmp_path / "tried", tried))
     entries = [content.entry(i) for i in range(2)]
-    assert [entry.task for entry in entries] == ["open the drawer"] * 2
+    assert [set(entry.tasks) for entry in entries] == [{"open the drawer"}] * 2
     assert [entry.columns["next.success"][:, 0].tolist() for entry in entries] == [[False] * 4 + [True], [False] * 5]
     assert entries[0].columns["intervention"][:, 0].tolist() == [False, False, True, False, False]
     content = Play(_stored(tmp_path / "played", [tried[0], make_episode(rng, 5)]))
-    assert content.entry(1).task == PLAY
+    assert set(content.entry(1).tasks) <= set(SKILLS)
     assert "next.success" not in content.features() | content.entry(0).columns
 
 

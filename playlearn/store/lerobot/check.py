@@ -1,6 +1,6 @@
 """What of a LeRobot dataset is missing or broken, one by one, and what can still be used."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -167,20 +167,6 @@ def matrix(column: pa.ChunkedArray) -> Array:
         raise StoreError("has not as many numbers at each frame")
     values = np.asarray(flat.to_numpy(zero_copy_only=False), np.float32)
     return values.reshape(len(whole), -1)
-
-
-def tasks(described: Description, rows: Sequence[Row]) -> Mapping[int, str]:
-    """Episode -> its first frame's task."""
-    found: dict[int, str] = {}
-    for place in sorted({row.data for row in rows}):
-        table = read_parquet(described.root / place, ["episode_index", "task_index"])
-        if "task_index" not in table.column_names:
-            continue
-        owner, first = np.unique(np.asarray(table["episode_index"]), return_index=True)
-        chosen = np.asarray(table["task_index"])[first]
-        known = range(len(described.tasks))
-        found |= {int(e): described.tasks[t] for e, t in zip(owner, chosen.tolist(), strict=True) if t in known}
-    return found
 
 
 def _numbers(rows: Iterable[Row]) -> frozenset[int]:

@@ -5,8 +5,10 @@
     action                          (A,)        the label, `expert_action`
     intervention                    (1,) bool   an expert took over (LeRobot's own name for it)
     next.success                    (1,) bool   only where every episode had a task, so that success is known
-    task                            text        the episode's task, "play" where it had none
-    language_persistent             rows        style "subtask": the skill, from the frame on at which it begins
+    task                            text        the episode's task; of play, the skill at that step in words
+
+Skills can stand as LeRobot's subtask annotation instead, `language_persistent`; the task of play is then "play". That
+is for who asks for it: LeRobot's own viewer (0.6.1) and PyTorch's default collate cannot take such a column.
 
 An episode of T actions becomes T frames: LeRobot has no place for the observation after the last action. That one and
 whatever else it has no column for stand beside, see `rest.py`.
@@ -22,7 +24,7 @@ import numpy as np
 from playlearn.episode import IMAGES, Array, Episode, read_annotation
 from playlearn.store.base import Store, StoreSpec
 
-PLAY = "play"  # the task of an episode that has none
+PLAY = "play"  # the task of a step that has neither a task nor a skill
 REACHED = "stopped"  # how an episode with a task ends that reached it
 STATE, ACHIEVED, ACTION = "observation.state", "observation.environment_state", "action"
 INTERVENTION, SUCCESS = "intervention", "next.success"
@@ -34,12 +36,12 @@ type Features = dict[str, dict[str, Any]]
 class Entry:
     """One LeRobot episode of T frames.
 
-    columns: key -> (T, ...). subtasks: (frame at which it begins, words). rest: the recording itself, to be kept
-    beside with the number it was recorded under; None where the entry is but a part of one.
+    columns: key -> (T, ...). tasks: T. subtasks: (frame at which it begins, words), empty where nobody asked. rest:
+    the recording itself, to be kept beside with the number it was recorded under; None where this is a part of one.
     """
 
     columns: Mapping[str, Array]
-    task: str
+    tasks: tuple[str, ...]
     subtasks: tuple[tuple[int, str], ...] = ()
     rest: tuple[int, Episode] | None = None
 
@@ -66,9 +68,10 @@ class Content(Protocol):
 
 @dataclass
 class Play:
-    """A store as it is: one entry an episode."""
+    """A store as it is: one entry an episode. annotated: with skills as subtasks."""
 
     store: Store
+    annotated: bool = False
     knows: bool = field(init=False)
 
     def __post_init__(self) -> None:
@@ -89,7 +92,9 @@ class Play:
         reached[-1] = episode.meta.ended == REACHED
         columns = steps(episode, 0, len(episode)) | ({SUCCESS: reached} if self.knows else {})
         rest = int(self.store.indices()[i]), episode
-        return Entry(columns, episode.meta.task or PLAY, subtasks(episode, 0, len(episode)), rest)
+        spoken = subtasks(episode, 0, len(episode)) if self.annotated else ()
+        skills = [PLAY] * len(episode) if self.annotated else words(episode)
+        return Entry(columns, tuple(episode.meta.task or skill or PLAY for skill in skills), spoken, rest)
 
 
 def steps(episode: Episode, begin: int, end: int) -> dict[str, Array]:
@@ -106,12 +111,17 @@ def steps(episode: Episode, begin: int, end: int) -> dict[str, Array]:
 
 def subtasks(episode: Episode, begin: int, end: int) -> tuple[tuple[int, str], ...]:
     """The skills within, in words, each with the frame (counted from `begin`) at which it begins."""
-    names = [read_annotation(text)[0].replace("_", " ") for text in episode.meta.skills] or [""]
     at, found = 0, []
-    for words, run in groupby(names[skill] for skill in episode.skill[begin:end]):
-        found += [(at, words)] if words else []
+    for skill, run in groupby(words(episode)[begin:end]):
+        found += [(at, skill)] if skill else []
         at += len(list(run))
     return tuple(found)
+
+
+def words(episode: Episode) -> list[str]:
+    """(T,) the skill at each step, "" for none."""
+    names = [read_annotation(text)[0].replace("_", " ") for text in episode.meta.skills] or [""]
+    return [names[skill] for skill in episode.skill]
 
 
 def robot(spec: StoreSpec) -> str:

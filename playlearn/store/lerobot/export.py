@@ -170,7 +170,7 @@ def _write(content: Content, root: Path, name: str, videos: Codec | None, progre
 def _frames(entry: Entry) -> Iterator[dict[str, Any]]:
     """As `LeRobotDataset.add_frame` wants them."""
     for t in range(len(entry)):
-        yield {"task": entry.task, **{key: column[t] for key, column in entry.columns.items()}}
+        yield {"task": entry.tasks[t], **{key: column[t] for key, column in entry.columns.items()}}
 
 
 def _read_back(content: Content, root: Path, name: str, videos: Codec | None) -> dict[str, Fidelity]:
@@ -216,7 +216,7 @@ def _by_lerobot(content: Content, described: Description, name: str) -> None:
             round(float(read["timestamp"]) * content.store.spec.fps),
         )
         _require(where == (i, t, t), f"frame {where}, where {(i, t, t)} was written")
-        task = content.entry(i).task
+        task = content.entry(i).tasks[t]
         _require(read["task"] == task, f"episode {i}: task {read['task']!r}, not {task!r}")
 
 

@@ -54,7 +54,6 @@ class LeRobotStore:
         self._described, self._keys = described, keys
         self._rows = check.usable(described, problems, config.skip_broken)
         self._sizes: dict[str, Size] = {name: config.image_size or camera.size for name, camera in cameras.items()}
-        self._tasks = {} if self._ours else check.tasks(described, self._rows)
         place = f"{self.path.name}-{hashlib.sha256(str(self.path.resolve()).encode()).hexdigest()[:12]}"
         self._cache = (config.cache or cache_folder()) / place
         self._maps, self._kept = Maps(), Maps()
@@ -80,6 +79,7 @@ class LeRobotStore:
         if self._ours:
             return self._rests[row.index].meta
         cameras = {name: {"height": h, "width": w} for name, (h, w) in self._sizes.items()}
+        tasks, _ = self._spoken(row)
         return EpisodeMeta(
             environment=self.spec.environment,
             state_names=self.spec.state_names,
@@ -89,7 +89,8 @@ class LeRobotStore:
             seed=UNKNOWN,
             actor="unknown",
             cameras=cameras,
-            task=self._tasks.get(row.index, ""),
+            skills=tuple(tasks) if len(tasks) > 1 else (),
+            task=tasks[0] if len(tasks) == 1 else "",
         )
 
     def read(self, i: int) -> Episode:
@@ -167,13 +168,21 @@ class LeRobotStore:
             "action": action,
             "expert_action": action,
             "intervention": np.zeros(steps, np.bool_) if taken_over is None else taken_over,
-            "skill": np.zeros(steps, np.int16),
+            "skill": self._spoken(row)[1],
         }
         stored = {STORED[name]: value for name, value in made.items()}
         if key not in stored:
             has = [*stored, *(IMAGES + camera for camera in self._sizes)]
             raise StoreError(f"{self.path} has no {key}: it has {', '.join(has)}")
         return stored[key]
+
+    def _spoken(self, row: Row) -> tuple[list[str], Array]:
+        """What an episode's steps are called, and (T,) int16 which each is; tasks that change are its skills."""
+        steps, known = self._steps(row), self._described.tasks
+        if "task" not in self._keys:
+            return [], np.zeros(steps, np.int16)
+        numbers, own = np.unique(self._columns[row.index]["task_index"][:steps, 0].astype(int), return_inverse=True)
+        return [known[n] if 0 <= n < len(known) else f"task {n}" for n in numbers], own.astype(np.int16)
 
     def _pictures(self, row: Row) -> dict[str, Array]:
         """Every camera's frames of one episode, mapped; decoded before where that has not been done."""
@@ -228,7 +237,13 @@ def _features(described: Description, config: LeRobotStoreConfig) -> dict[str, s
     Raises:
         StoreError: it has no state or no action.
     """
-    keys = {"state": config.state, "achieved": config.achieved, "action": config.action, "intervention": "intervention"}
+    keys = {
+        "state": config.state,
+        "achieved": config.achieved,
+        "action": config.action,
+        "intervention": "intervention",
+        "task": "task_index",
+    }
     there = {part: key for part, key in keys.items() if key in described.features}
     for part in ("state", "action"):
         if part not in there:

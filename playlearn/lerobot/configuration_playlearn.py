@@ -1,0 +1,95 @@
+"""Our policies under LeRobot's own commands: what `--policy.type=playlearn` and `--policy.path=...` read.
+
+LeRobot finds the parts by their names: `configuration_playlearn`, `modeling_playlearn`, `processor_playlearn`.
+"""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature
+from lerobot.configs.policies import PreTrainedConfig
+from lerobot.optim import AdamWConfig
+
+from playlearn.config import from_dict, load_config
+from playlearn.episode import IMAGES
+from playlearn.errors import UsageError
+from playlearn.policies import PolicyConfig, PolicySpec
+from playlearn.policies.policy import spec_from_dict
+from playlearn.train import TrainConfig
+
+STATE, ACHIEVED, GOAL = "observation.state", "observation.environment_state", "observation.goal.state"
+GOAL_IMAGES = IMAGES + "goal_"
+
+
+@PreTrainedConfig.register_subclass("playlearn")
+@dataclass
+class PlaylearnConfig(PreTrainedConfig):  # type: ignore[misc]
+    """recipe: a YAML file whose `policy:` block says how the policy is built, as for `playlearn train`.
+
+    built: the policy's config and the world it was made for, as JSON; written by playlearn, and wins over the recipe.
+    n_action_steps: actions of a chunk that are executed before the next plan; null for half of it.
+    guidance: weight of the goal; null for the plain prediction. seed: of what the policy draws when it acts.
+    """
+
+    recipe: str | None = None
+    built: str | None = None
+    n_action_steps: int | None = None
+    guidance: float | None = None
+    seed: int = 0
+    optimizer_lr: float = 5e-4
+    optimizer_weight_decay: float = 1e-3
+    # The policy normalises by itself, with statistics that stand among its weights.
+    normalization_mapping: dict[str, NormalizationMode] = field(
+        default_factory=lambda: dict.fromkeys(("VISUAL", "STATE", "ENV", "ACTION"), NormalizationMode.IDENTITY)
+    )
+
+    def policy(self) -> PolicyConfig:
+        """Raises UsageError where the recipe describes none."""
+        if self.built is not None:
+            return from_dict(PolicyConfig, json.loads(self.built)["config"])
+        return PolicyConfig() if self.recipe is None else load_config(TrainConfig, Path(self.recipe)).policy
+
+    def spec(self) -> PolicySpec | None:
+        """The world it was made for; None where that is not known yet."""
+        return None if self.built is None else spec_from_dict(json.loads(self.built)["spec"])
+
+    def validate_features(self) -> None:
+        """Raises UsageError where there is no goal among the inputs."""
+        if not any(key == GOAL or key.startswith(GOAL_IMAGES) for key in self.input_features or {}):
+            raise UsageError(
+                "this dataset has no goals: write it with `playlearn export lerobot STORE OUT --goals`, or train with "
+                "`playlearn train`, which draws goals as it goes (`store: {type: lerobot, root: ...}`)"
+            )
+
+    def get_optimizer_preset(self) -> AdamWConfig:
+        return AdamWConfig(lr=self.optimizer_lr, weight_decay=self.optimizer_weight_decay, grad_clip_norm=1.0)
+
+    def get_scheduler_preset(self) -> None:
+        return None
+
+    @property
+    def observation_delta_indices(self) -> list[int] | None:
+        history = self.policy().history
+        return None if history == 1 else list(range(1 - history, 1))
+
+    @property
+    def action_delta_indices(self) -> list[int]:
+        return list(range(self.policy().chunk))
+
+    @property
+    def reward_delta_indices(self) -> None:
+        return None
+
+
+def features(spec: PolicySpec, policy: PolicyConfig) -> tuple[dict[str, PolicyFeature], dict[str, PolicyFeature]]:
+    """What a policy reads and what it gives, in LeRobot's words; images channel first."""
+    own, goal, encoder = len(spec.state_names), len(spec.achieved_names), policy.encoder
+    read: dict[str, Any] = {STATE: (FeatureType.STATE, (own,))}
+    if "state" in encoder.goals and goal:
+        read |= {ACHIEVED: (FeatureType.ENV, (2 * goal,)), GOAL: (FeatureType.STATE, (goal,))}
+    for prefix, cameras in ((IMAGES, encoder.observation_cameras), (GOAL_IMAGES, encoder.goal_cameras)):
+        read |= {prefix + camera: (FeatureType.VISUAL, (3, *spec.cameras[camera])) for camera in cameras}
+    inputs = {key: PolicyFeature(type=kind, shape=shape) for key, (kind, shape) in read.items()}
+    return inputs, {"action": PolicyFeature(type=FeatureType.ACTION, shape=(len(spec.action_names),))}

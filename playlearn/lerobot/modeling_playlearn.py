@@ -1,0 +1,184 @@
+"""Our policy as one of LeRobot's: its batches in, its losses and actions out.
+
+It acts as it does under `playlearn eval`, through the same actor; what it is shown comes by LeRobot's names.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow.parquet as pq
+import torch
+from lerobot.policies.pretrained import PreTrainedPolicy
+from torch import Tensor
+
+from playlearn.config import to_dict
+from playlearn.data import Batch
+from playlearn.episode import IMAGES, Array, Goal, Observation
+from playlearn.errors import UsageError
+from playlearn.lerobot.configuration_playlearn import ACHIEVED, GOAL, GOAL_IMAGES, STATE, PlaylearnConfig
+from playlearn.policies import Policy, PolicySpec
+from playlearn.policies.execution import PolicyActor
+from playlearn.policies.inputs import Inputs
+
+
+class _Spread(NamedTuple):
+    mean: Array
+    std: Array
+
+
+class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
+    """Built afresh for a dataset with goals, or as `config.built` says."""
+
+    config_class = PlaylearnConfig
+    name = "playlearn"
+
+    def __init__(
+        self, config: PlaylearnConfig, dataset_stats: Mapping[str, Any] | None = None, dataset_meta: Any = None
+    ) -> None:
+        """Raises UsageError where the dataset has no goals, or lacks what the policy reads."""
+        super().__init__(config)
+        self.config: PlaylearnConfig = config
+        spec = config.spec()
+        if spec is not None:
+            self.policy = config.policy().build(spec, None, seed=0, fetch=False)
+        else:
+            self.policy = _fresh(config, dataset_stats, dataset_meta)
+            description = {"config": to_dict(self.policy.config), "spec": asdict(self.policy.spec)}
+            config.built = json.dumps(description)
+        self._generator = torch.Generator().manual_seed(config.seed)
+        self._actor: PolicyActor | None = None
+
+    def get_optim_params(self) -> list[dict[str, Any]]:
+        """As `playlearn train` has them: what is no matrix does not decay."""
+        matrices = [parameter for parameter in self.parameters() if parameter.ndim > 1]
+        vectors = [parameter for parameter in self.parameters() if parameter.ndim <= 1]
+        return [{"params": matrices}, {"params": vectors, "weight_decay": 0.0}]
+
+    def reset(self) -> None:
+        self._actor = None
+
+    def forward(self, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, float]]:
+        """action (B, H, A), action_is_pad (B, H), and observations; a loss and its parts."""
+        inputs = self._inputs(batch)
+        action = batch["action"]
+        padded = batch.get("action_is_pad", torch.zeros(action.shape[:2], dtype=torch.bool))
+        labelled = Batch(
+            state=inputs.state,
+            achieved=inputs.achieved,
+            images=inputs.images,
+            history_mask=inputs.history_mask,
+            goal_achieved=inputs.goal_achieved,
+            goal_state=inputs.goal_state,
+            goal_images=inputs.goal_images,
+            action=action.float(),
+            action_mask=~padded.to(action.device),
+            steps_to_goal=torch.zeros(len(action), dtype=torch.int64),
+        )
+        loss, metrics = self.policy(labelled, self._generator) if self.training else self._judged(labelled)
+        self.policy.head.updates += int(self.training)
+        return loss, {name: float(value) for name, value in metrics.items()}
+
+    def predict_action_chunk(self, batch: Mapping[str, Tensor], **_: Any) -> Tensor:
+        """(B, H, A) on the policy's device."""
+        chunk = self.policy.act(self._inputs(batch), self._generator, self.config.guidance)
+        return chunk.to(self.policy.device)
+
+    def select_action(self, batch: Mapping[str, Tensor], **_: Any) -> Tensor:
+        """(B, A), of the plan in hand; the goal of an episode is the one that its first observation shows."""
+        inputs = self._inputs(batch)
+        seen, goals = _observations(inputs), _goals(inputs)
+        if self._actor is None:
+            half = max(1, self.policy.config.chunk // 2)
+            self._actor = PolicyActor(self.policy, self.config.n_action_steps or half, self.config.guidance)
+            self._actor.reset(goals, [self.config.seed + row for row in range(len(goals))])
+        decisions = self._actor.act(seen, [True] * len(seen))
+        return torch.from_numpy(np.stack([decision.action for decision in decisions])).to(self.policy.device)
+
+    def _judged(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+        return self.policy.loss(batch, torch.Generator().manual_seed(self.config.seed))
+
+    def _inputs(self, batch: Mapping[str, Tensor]) -> Inputs:
+        """LeRobot's names and shapes to ours; images from (..., 3, h, w) in [0, 1] to (..., h, w, 3) uint8."""
+        encoder, spec = self.policy.config.encoder, self.policy.spec
+        state = _over_time(batch[STATE].float(), 1)  # (B, T, S)
+        told = len(spec.achieved_names)
+        nothing = state.new_zeros((*state.shape[:2], 2 * told))
+        both = _over_time(batch[ACHIEVED].float(), 1) if ACHIEVED in batch else nothing
+        goal = _over_time(batch[GOAL].float(), 1)[:, -1] if GOAL in batch else both[:, -1, told:]
+        padded = batch.get(f"{STATE}_is_pad")
+        return Inputs(
+            state=state,
+            achieved=both[..., :told],
+            history_mask=torch.ones(state.shape[:2], dtype=torch.bool) if padded is None else ~padded,
+            goal_achieved=goal,
+            goal_state=state[:, -1],
+            images={c: _over_time(_bytes(batch[IMAGES + c]), 3) for c in encoder.observation_cameras},
+            goal_images={c: _over_time(_bytes(batch[GOAL_IMAGES + c]), 3)[:, -1] for c in encoder.goal_cameras},
+        )
+
+
+def _fresh(config: PlaylearnConfig, stats: Mapping[str, Any] | None, meta: Any) -> Policy:
+    if stats is None or meta is None:
+        raise UsageError("a fresh policy is made for a dataset: train it with lerobot-train, or give --policy.path")
+    config.validate_features()
+    names = {key: tuple(feature.get("names") or ()) for key, feature in meta.features.items()}
+    told = len(names.get(GOAL, ())) if ACHIEVED in names else 0
+    sizes = {
+        key.removeprefix(IMAGES): meta.features[key]["shape"] for key in meta.camera_keys if key.startswith(IMAGES)
+    }
+    action = {name: np.asarray(stats["action"][name], np.float64) for name in ("min", "max")}
+    spec = PolicySpec(
+        state_names=names[STATE],
+        achieved_names=names.get(ACHIEVED, ())[:told],
+        action_names=names["action"],
+        fps=float(meta.fps),
+        cameras={name: (int(h), int(w)) for name, (h, w, _) in sizes.items() if not name.startswith("goal_")},
+        bounded=bool(action["min"].min() >= -1 and action["max"].max() <= 1),
+    )
+    widths = {"state": (STATE, len(spec.state_names)), "achieved": (ACHIEVED, told), "action": ("action", None)}
+    spread = {
+        part: _Spread(*(np.asarray(stats[key][name], np.float32)[:width] for name in ("mean", "std")))
+        for part, (key, width) in widths.items()
+        if key in stats
+    }
+    spread.setdefault("achieved", _Spread(np.zeros(0, np.float32), np.ones(0, np.float32)))
+    policy = config.policy().build(spec, spread, config.seed)
+    policy.fit(torch.from_numpy(_labels(meta)))
+    return policy
+
+
+def _labels(meta: Any) -> Array:
+    """(n, A) every action of a dataset."""
+    column = pq.read_table(meta.root / "data", columns=["action"])["action"].combine_chunks()
+    return np.asarray(column.flatten(), np.float32).reshape(len(column), -1)
+
+
+def _over_time(value: Tensor, dims: int) -> Tensor:
+    """(B, T, ...) of one with or without a history; dims: of what is seen at one moment."""
+    return value if value.ndim == 2 + dims else value.unsqueeze(1)
+
+
+def _bytes(images: Tensor) -> Tensor:
+    whole = images if images.dtype == torch.uint8 else (images * 255).round().clamp(0, 255).to(torch.uint8)
+    return whole.movedim(-3, -1)
+
+
+def _observations(inputs: Inputs) -> list[Observation]:
+    """What each row sees now."""
+    state, achieved = (value[:, -1].cpu().numpy() for value in (inputs.state, inputs.achieved))
+    images = {camera: value[:, -1].cpu().numpy() for camera, value in inputs.images.items()}
+    return [
+        Observation(state[row], achieved[row], {camera: value[row] for camera, value in images.items()})
+        for row in range(len(state))
+    ]
+
+
+def _goals(inputs: Inputs) -> list[Goal]:
+    achieved = inputs.goal_achieved.cpu().numpy()
+    images = {camera: value.cpu().numpy() for camera, value in inputs.goal_images.items()}
+    return [
+        Goal(achieved[row], {camera: value[row] for camera, value in images.items()}) for row in range(len(achieved))
+    ]

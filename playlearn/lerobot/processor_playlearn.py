@@ -1,0 +1,13 @@
+"""What stands between LeRobot's batches and our policy: batch dimension and device, nothing else."""
+
+from typing import Any
+
+from lerobot.processor import make_default_pre_post_processors
+
+from playlearn.lerobot.configuration_playlearn import PlaylearnConfig
+
+
+def make_playlearn_pre_post_processors(config: PlaylearnConfig, dataset_stats: Any = None) -> tuple[Any, Any]:
+    """LeRobot's default pipelines; the policy normalises by itself."""
+    made: tuple[Any, Any] = make_default_pre_post_processors(config, dataset_stats)
+    return made

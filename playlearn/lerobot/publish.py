@@ -1,0 +1,59 @@
+"""A trained policy as the Hub expects one: config.json, model.safetensors, processors and a card."""
+
+import json
+import shutil
+from dataclasses import asdict
+from pathlib import Path
+
+from playlearn.config import to_dict
+from playlearn.errors import StoreError, UsageError
+from playlearn.policies import Policy
+from playlearn.report.template import template
+
+
+def export_policy(run: Path, out: Path) -> None:
+    """Write the policy of a run to `out`, built beside it and loaded back before it is put there.
+
+    Raises:
+        CheckpointError: there is no policy at `run`. UsageError: `out` is taken. StoreError: it cannot be written.
+    """
+    # Seconds to import: only who asks it pays.
+    from playlearn.lerobot.configuration_playlearn import PlaylearnConfig, features
+    from playlearn.lerobot.modeling_playlearn import PlaylearnPolicy
+    from playlearn.lerobot.processor_playlearn import make_playlearn_pre_post_processors
+
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise UsageError(f"{out} is there already: name another folder")
+    policy = Policy.load(run / "policy")
+    if policy.spec.predicts != "actions":
+        raise UsageError(f"{run} proposes subgoals and does not act: LeRobot has no place for it")
+    inputs, outputs = features(policy.spec, policy.config)
+    built = json.dumps({"config": to_dict(policy.config), "spec": asdict(policy.spec)}, default=dict)
+    config = PlaylearnConfig(
+        built=built,
+        input_features=inputs,
+        output_features=outputs,
+        device="cpu",
+        push_to_hub=False,
+        license="apache-2.0",
+    )
+    made = PlaylearnPolicy(config)
+    made.policy.load_state_dict(policy.state_dict())
+    building = out.with_name(f".{out.name}.building")
+    shutil.rmtree(building, ignore_errors=True)
+    try:
+        building.mkdir(parents=True)
+        made.save_pretrained(building)
+        for pipeline in make_playlearn_pre_post_processors(config):
+            pipeline.save_pretrained(building)
+        card = template("policy_card.md.j2").render(title=out.name, spec=policy.spec, config=policy.config)
+        (building / "README.md").write_text(card, encoding="utf-8")
+        back = PlaylearnPolicy.from_pretrained(building, strict=True)
+        mine, its = policy.state_dict(), back.policy.state_dict()
+        if any(not bool((mine[name] == its[name]).all()) for name in mine):
+            raise StoreError("other weights were read back than were written: please report this as a bug")
+        building.replace(out)
+    except OSError as error:
+        raise StoreError(f"{out} cannot be written ({error.strerror or error}): nothing was left there") from error
+    finally:
+        shutil.rmtree(building, ignore_errors=True)

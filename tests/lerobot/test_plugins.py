@@ -1,0 +1,195 @@
+"""Our policies and worlds as LeRobot sees them: its own loop gives what ours gives."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import torch
+
+from playlearn.config import from_dict
+from playlearn.errors import UsageError
+from playlearn.evaluate.suite import SuiteConfig
+from playlearn.evaluate.tasks import TasksConfig
+from playlearn.lerobot.publish import export_policy
+from playlearn.policies import Policy, PolicyConfig, PolicySpec
+from playlearn.policies.execution import PolicyActor
+from playlearn.rollout import rollout
+from tests.fakes import PointConfig, point_expert
+from tests.policies.parts import small
+
+if TYPE_CHECKING:
+    from playlearn.lerobot.env import GoalEnv
+
+pytestmark = pytest.mark.filterwarnings("ignore")  # what LeRobot and the packages below it warn of is theirs to mend
+SUITE = SuiteConfig(name="point", environment=PointConfig(), kind=TasksConfig(rest_seconds=0.2), max_steps=40, hold=2)
+SIZES = {"front": (24, 32), "wrist": (16, 16)}
+
+
+@pytest.fixture
+def env() -> "GoalEnv":
+    return new_env()
+
+
+def new_env() -> "GoalEnv":
+    # LeRobot takes seconds to import: where it is asked for, not when tests are collected
+    from playlearn.lerobot.env import GoalEnv
+
+    return GoalEnv(SUITE, expert=point_expert)
+
+
+@pytest.fixture(scope="module", params=["state", "cnn"])
+def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An untrained policy for the point's world, which acts as surely as a trained one."""
+    world = PointConfig().build()
+    names = {name: getattr(world.spec, name) for name in ("state_names", "achieved_names", "action_names", "fps")}
+    parts = {"encoder": small(request.param), "trunk": small("mlp"), "head": small("deterministic"), "chunk": 4}
+    policy = from_dict(PolicyConfig, parts).build(PolicySpec(**names, cameras=SIZES), None, seed=0)
+    folder = tmp_path_factory.mktemp("run")
+    policy.save(folder / "policy")
+    return folder
+
+
+def test_gymnasium_finds_nothing_to_blame(env: "GoalEnv") -> None:
+    from gymnasium.utils.env_checker import check_env
+
+    check_env(env, skip_render_check=True)
+
+
+def test_a_seed_is_the_number_of_a_suites_episode(env: "GoalEnv") -> None:
+    first, told = env.reset(seed=3)
+    again, _ = new_env().reset(seed=3)
+    np.testing.assert_array_equal(first["environment_state"], again["environment_state"])
+    assert told["task"] == list(env.world.tasks)[3 % 2] == env.task.replace(" ", "_")
+    following, _ = env.reset()  # without a seed: the next
+    np.testing.assert_array_equal(following["goal.state"], new_env().reset(seed=4)[0]["goal.state"])
+    np.testing.assert_array_equal(following["environment_state"][3:], following["goal.state"])
+    assert set(following["pixels"]) == {"front", "wrist", "goal_front", "goal_wrist"}
+
+
+def test_success_is_what_the_suite_calls_so(env: "GoalEnv") -> None:
+    env.reset(seed=0)
+    expert = point_expert(env.world)
+    setup = env._setup
+    assert setup is not None
+    expert.reset([setup.goal], [0])
+    ends = []
+    while not ends or not (ends[-1][1] or ends[-1][2]):
+        action = expert.act([env.world.observe()], [True])[0].action
+        _, reward, terminated, truncated, told = env.step(action)
+        ends.append((reward, terminated, truncated, told["is_success"]))
+    assert ends[-1] == (1.0, True, False, True)
+    assert all(end == (0.0, False, False, False) for end in ends[:-1])
+    env.reset(seed=0)
+    ends = [env.step(np.zeros(3, np.float32))[1:4] for _ in range(40)]
+    assert ends == [(0.0, False, False)] * 39 + [(0.0, False, True)]  # the suite's budget
+    assert env.render().shape[0] == 24
+
+
+def test_lerobots_loop_gives_what_ours_gives(run: Path, env: "GoalEnv", tmp_path: Path) -> None:
+    import gymnasium as gym
+    from lerobot.configs.policies import PreTrainedConfig
+    from lerobot.policies.factory import get_policy_class, make_pre_post_processors
+    from lerobot.processor import PolicyProcessorPipeline
+    from lerobot.scripts.lerobot_eval import rollout as lerobots
+
+    from playlearn.lerobot.modeling_playlearn import PlaylearnPolicy
+
+    export_policy(run, tmp_path / "out")
+    assert {"config.json", "model.safetensors", "README.md", "policy_preprocessor.json"} <= {
+        path.name for path in (tmp_path / "out").iterdir()
+    }
+    assert "library_name: lerobot" in (tmp_path / "out" / "README.md").read_text()
+    config = PreTrainedConfig.from_pretrained(tmp_path / "out")
+    assert get_policy_class(config.type) is PlaylearnPolicy
+    its = PlaylearnPolicy.from_pretrained(tmp_path / "out", config=config, strict=True)
+    before, after = make_pre_post_processors(config, pretrained_path=str(tmp_path / "out"))
+    worlds = gym.vector.SyncVectorEnv([new_env] * 2)
+    nothing = PolicyProcessorPipeline(steps=[])
+    done = lerobots(worlds, its, nothing, nothing, before, after, seeds=[0, 1])
+    policy = Policy.load(run / "policy")
+    for number in (0, 1):
+        env.reset(seed=number)
+        setup = env._setup
+        assert setup is not None
+        actor = PolicyActor(policy, execute=2)
+        outcome = rollout([env.world], actor, [setup.goal], seeds=[number], max_steps=12)[0]
+        assert outcome.episode is not None
+        np.testing.assert_allclose(done["action"][number][:12].numpy(), outcome.episode.action, atol=1e-6)
+
+
+def test_a_config_says_what_the_policy_reads(run: Path, tmp_path: Path) -> None:
+    export_policy(run, tmp_path / "out")
+    told = json.loads((tmp_path / "out" / "config.json").read_text())
+    assert told["type"] == "playlearn"
+    seen = {key for key in told["input_features"] if "goal" in key}
+    assert seen
+    assert told["output_features"] == {"action": {"type": "ACTION", "shape": [3]}}
+    with pytest.raises(UsageError, match="is there already"):
+        export_policy(run, tmp_path / "out")
+
+
+def test_a_dataset_without_goals_is_refused() -> None:
+    from playlearn.lerobot.configuration_playlearn import PlaylearnConfig
+
+    config = PlaylearnConfig(device="cpu", input_features={"observation.state": _feature(4)})
+    with pytest.raises(UsageError, match="export lerobot STORE OUT --goals"):
+        config.validate_features()
+
+
+def test_a_world_is_named_by_its_suite() -> None:
+    from lerobot.envs.configs import EnvConfig
+
+    from playlearn.lerobot.env import PlaylearnEnvConfig
+
+    assert EnvConfig.get_choice_class("playlearn") is PlaylearnEnvConfig
+    with pytest.raises(UsageError, match=r"--env.suite names no suite"):
+        PlaylearnEnvConfig()
+
+
+def _feature(size: int) -> Any:
+    from lerobot.configs import FeatureType, PolicyFeature
+
+    return PolicyFeature(type=FeatureType.STATE, shape=(size,))
+
+
+def test_it_learns_from_lerobots_batches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+    from lerobot.policies.factory import make_policy
+
+    import datasets
+    from playlearn.lerobot.configuration_playlearn import PlaylearnConfig
+    from playlearn.lerobot.goals import RelabelConfig
+    from playlearn.lerobot.share import contents
+    from playlearn.store.lerobot.export import write_lerobot
+    from tests.synthetic import make_store
+
+    monkeypatch.setattr(datasets.config, "HF_DATASETS_CACHE", str(tmp_path / "cache"))
+    store = make_store(tmp_path / "play", np.random.default_rng(0), 2, 100, ("front", "wrist"))
+    write_lerobot(contents(store, RelabelConfig()), tmp_path / "goals")
+    recipe = tmp_path / "recipe.yaml"
+    block = {"encoder": small("cnn"), "trunk": small("mlp"), "head": small("deterministic"), "chunk": 4}
+    recipe.write_text(json.dumps({"policy": block}))
+    config = PlaylearnConfig(device="cpu", recipe=str(recipe))
+    ahead = [step / 20 for step in config.action_delta_indices]
+    data = LeRobotDataset("local/goals", root=tmp_path / "goals", delta_timestamps={"action": ahead})
+    policy = make_policy(config, ds_meta=data.meta)
+    policy.train()
+    batch = next(iter(torch.utils.data.DataLoader(data, 8)))
+    optimizer = config.get_optimizer_preset().build(policy.get_optim_params())
+    losses = []
+    for _ in range(30):
+        loss, parts = policy.forward(batch)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(float(loss))
+    assert losses[-1] < 0.7 * losses[0]  # the same eight examples, thirty times
+    assert all(isinstance(value, float) for value in parts.values())
+    # What it saw is what our own batch would have said: every image as it was, the normaliser with the data's mean.
+    shown = policy._inputs(batch)
+    np.testing.assert_array_equal(shown.images["front"][0, 0].numpy(), store.read(0).images["front"][0])
+    mean = store.array(0, "observation.state")
+    assert np.abs(policy.policy.normaliser.get_buffer("state_mean").numpy() - mean.mean(axis=0)).max() < 0.2
+    assert policy.predict_action_chunk(batch).shape == (8, 4, 4)
