@@ -225,7 +225,15 @@ def _ogbench(source: Path, overrides: list[str]) -> Any:
     return OgbenchFile(source)
 
 
-IMPORTS = {"robomimic": _robomimic, "robosuite": _robosuite, "ogbench": _ogbench}
+def _lerobot(source: Path, overrides: list[str]) -> Any:
+    from playlearn.config import load_config
+    from playlearn.store.lerobot.config import LeRobotStoreConfig
+    from playlearn.store.lerobot.recordings import LeRobotRecordings
+
+    return LeRobotRecordings(load_config(LeRobotStoreConfig, None, [f"--root={json.dumps(str(source))}", *overrides]))
+
+
+IMPORTS = {"lerobot": _lerobot, "robomimic": _robomimic, "robosuite": _robosuite, "ogbench": _ogbench}
 
 
 def lab(arguments: argparse.Namespace) -> int:

@@ -129,7 +129,7 @@ def _parser() -> argparse.ArgumentParser:
     words = "put other people's recordings into a store"
     made = verb(commands.import_, "import", words, free=True, kept=kept_too)
     made.add_argument("format", choices=tuple(commands.IMPORTS))
-    made.add_argument("source", type=Path, metavar="SRC", help="robomimic's or robosuite's .hdf5, or OGBench's .npz")
+    made.add_argument("source", type=Path, metavar="SRC", help="a dataset's folder, .hdf5 or .npz")
     made.add_argument("out", type=Path, metavar="OUT")
     made.add_argument("--skip-broken", action="store_true", help="leave broken recordings out, and say which")
 

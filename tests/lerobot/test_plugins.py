@@ -171,7 +171,7 @@ def test_it_learns_from_lerobots_batches(tmp_path: Path, monkeypatch: pytest.Mon
     recipe = tmp_path / "recipe.yaml"
     block = {"encoder": small("cnn"), "trunk": small("mlp"), "head": small("deterministic"), "chunk": 4}
     recipe.write_text(json.dumps({"policy": block}))
-    config = PlaylearnConfig(device="cpu", recipe=str(recipe))
+    config = PlaylearnConfig(device="cpu", recipe=str(recipe), optimizer_lr=1e-2)
     ahead = [step / 20 for step in config.action_delta_indices]
     data = LeRobotDataset("local/goals", root=tmp_path / "goals", delta_timestamps={"action": ahead})
     policy = make_policy(config, ds_meta=data.meta)

@@ -16,8 +16,10 @@ from playlearn.data import DataConfig, PlayDataset
 from playlearn.errors import StoreError, UsageError
 from playlearn.relabel import UniformConfig
 from playlearn.store import LeRobotStoreConfig, NativeStore, Store, StoreConfig, open_store
+from playlearn.store.importing import import_recordings
 from playlearn.store.lerobot import frames
 from playlearn.store.lerobot.export import export_lerobot
+from playlearn.store.lerobot.recordings import LeRobotRecordings
 from tests.synthetic import make_store
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # what LeRobot and the packages below it warn of is theirs to mend
@@ -269,6 +271,18 @@ def test_a_dataset_without_the_features_asked_for_says_which_it_has(theirs: Path
         StoreError, match=r"no feature 'observation.joints' for the state; it has observation.state, .*set `state`"
     ):
         opened(theirs, state="observation.joints")
+
+
+def test_it_can_be_imported_too(copy: Path, store: NativeStore, tmp_path: Path) -> None:
+    made = import_recordings(LeRobotRecordings(LeRobotStoreConfig(root=copy, cache=tmp_path / "f")), tmp_path / "store")
+    for i in range(3):
+        np.testing.assert_array_equal(made.array(i, "sim.state"), store.array(i, "sim.state"))
+        assert made.meta(i) == store.meta(i)
+    BROKEN["not a number"][0](copy)
+    broken = LeRobotRecordings(LeRobotStoreConfig(root=copy, cache=tmp_path / "f"))
+    with pytest.raises(StoreError, match=r"1 of 3 recordings are broken(.|\n)*episode 1: action is not finite"):
+        import_recordings(broken, tmp_path / "other")
+    assert len(import_recordings(broken, tmp_path / "other", skip_broken=True)) == 2
 
 
 def test_the_hub_is_asked_only_for_a_name_that_is_not_here(

@@ -122,9 +122,11 @@ def _told(root: Path, problems: Sequence[Problem], whole: int, every: int, blind
     if len(problems) > NAMED:
         lines.append(f"  and {len(problems) - NAMED} more")
     if whole:
-        lines.append(f"{whole} of {every} episodes can be used as they are: `skip_broken: true` (`--skip-broken`)")
+        lines.append(f"{whole} of {every} episodes can be used as they are: `skip_broken: true`")
     if blind > whole:
-        lines.append(f"{blind} of {every} without their images: `without_images: true` (`--without-images`)")
+        lines.append(f"{blind} of {every} without their images: `without_images: true`")
+    if whole or blind:
+        lines.append("(in the `store` block of a config, or as `--store.skip_broken true` after `--store.root FOLDER`)")
     return "\n".join(lines)
 
 

@@ -51,7 +51,7 @@ class LeRobotStore:
         self._columns, problems = check.numbers(described, list(keys.values()), 1 if self._ours else 2)
         problems = check.counted(described) + problems + check.films(described, cameras)
         problems += self._check_rest(described) if self._ours else []
-        self._described, self._keys = described, keys
+        self._described, self._keys, self.problems = described, keys, problems
         self._rows = check.usable(described, problems, config.skip_broken)
         self._sizes: dict[str, Size] = {name: config.image_size or camera.size for name, camera in cameras.items()}
         place = f"{self.path.name}-{hashlib.sha256(str(self.path.resolve()).encode()).hexdigest()[:12]}"
@@ -66,7 +66,11 @@ class LeRobotStore:
         return str(self.path)
 
     def indices(self) -> NDArray[np.int64]:
-        return np.array([self._rests[row.index].index if self._ours else row.index for row in self._rows])
+        return np.array([self.number(row.index) for row in self._rows], np.int64)
+
+    def number(self, entry: int) -> int:
+        """What the dataset's episode `entry` was recorded under."""
+        return self._rests[entry].index if self._ours else entry
 
     def lengths(self) -> NDArray[np.int64]:
         return np.array([self._steps(row) for row in self._rows], np.int64)

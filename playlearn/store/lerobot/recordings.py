@@ -1,29 +1,37 @@
 """A LeRobot dataset as something to import, for who would rather have it in a store of ours than train on it so."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from playlearn.episode import Episode
 from playlearn.errors import EpisodeError, StoreError
-from playlearn.store.base import Store, StoreSpec
+from playlearn.store.base import StoreSpec
+from playlearn.store.lerobot.config import LeRobotStoreConfig
+from playlearn.store.lerobot.reader import LeRobotStore
 
 
 class LeRobotRecordings:
-    """See `importing.Recordings`. What is broken was told when the store was opened."""
+    """See `importing.Recordings`; raises StoreError where nothing of the dataset can be read."""
 
-    splits: Mapping[str, Sequence[int]] = {}
-
-    def __init__(self, store: Store) -> None:
-        self._store = store
-        self._places = {int(number): i for i, number in enumerate(store.indices())}
-        self.spec: StoreSpec = store.spec
-        self.note: Mapping[str, Any] = {"format": "lerobot", "source": store.name()}
+    def __init__(self, config: LeRobotStoreConfig) -> None:
+        self._store = LeRobotStore(replace(config, skip_broken=True))
+        self._places = {int(number): i for i, number in enumerate(self._store.indices())}
+        self.spec: StoreSpec = self._store.spec
+        self.note: Mapping[str, Any] = {"format": "lerobot", "source": self._store.name()}
+        self.splits: Mapping[str, Sequence[int]] = {}
 
     def names(self) -> dict[int, str]:
-        return {number: f"episode {number}" for number in self._places}
+        return {number: f"episode {number}" for number in [*self._places, *self.problems()]}
 
     def problems(self) -> dict[int, str]:
-        return {}
+        return {self._number(entry): one.words for one in self._store.problems for entry in sorted(one.episodes)}
+
+    def _number(self, entry: int) -> int:
+        try:
+            return self._store.number(entry)
+        except (StoreError, KeyError):  # what says it is what is broken
+            return -1 - entry
 
     def read(self, numbers: Sequence[int]) -> Iterator[tuple[int, Episode | StoreError]]:
         for number in numbers:
