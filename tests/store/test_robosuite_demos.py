@@ -1,0 +1,94 @@
+"""robosuite's raw demonstrations: what was to be seen is read in each one's own model, wherever it was recorded."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import robosuite
+
+from playlearn.errors import StoreError
+from playlearn.store.importing import import_recordings
+from playlearn.store.robosuite_demos import RobosuiteFile, Scene
+from playlearn.tasks import LiftConfig
+
+h5py = pytest.importorskip("h5py", reason="the extra `robomimic` is not installed")
+HOME = str(Path(robosuite.__file__).resolve().parent)
+
+
+@pytest.fixture(scope="module")
+def lift() -> Any:
+    return LiftConfig().build()
+
+
+def raw(path: Path, world: Any, demos: int = 3, xml: str | None = None) -> Path:
+    """A file as `collect_human_demonstrations` writes it, by somebody else on another machine."""
+    elsewhere = (world._xml if xml is None else xml).replace(HOME, "/home/somebody/robosuite")
+    with h5py.File(path, "w") as file:
+        data = file.create_group("data")
+        data.attrs["env"], data.attrs["env_info"] = "Lift", '{"control_freq": 20, "robots": "Panda"}'
+        for k in range(1, demos + 1):
+            group = data.create_group(f"demo_{k}")
+            group.attrs["model_file"] = elsewhere
+            world.reset(k)
+            rows = []
+            for _ in range(5):
+                rows.append(np.concatenate([[world.data.time], world.data.qpos, world.data.qvel]))
+                world.step(np.array([0.3, 0.1 * k, -0.2, 0, 0, 0, 1.0]))
+            group["states"], group["actions"] = np.array(rows), np.full((5, 7), 0.1 * k)
+    return path
+
+
+def test_hand_and_cube_are_where_the_world_had_them(lift: Any, tmp_path: Path) -> None:
+    store = import_recordings(RobosuiteFile(raw(tmp_path / "demo.hdf5", lift)), tmp_path / "out")
+    assert store.indices().tolist() == [1, 2, 3]
+    assert store.spec.environment["type"] == "robosuite:Lift"
+    assert store.spec.fps == 20
+    assert store.spec.achieved_names == tuple(f"cube_joint0.{p}" for p in ("x", "y", "z", "qw", "qx", "qy", "qz"))
+    lift.reset(2)
+    for _ in range(3):
+        lift.step(np.array([0.3, 0.2, -0.2, 0, 0, 0, 1.0]))
+    seen, episode = lift.observe(), store.read(1)
+    assert len(episode) == 4
+    np.testing.assert_allclose(episode.state[3, :9], seen.state[:9], atol=1e-6)
+    np.testing.assert_allclose(episode.achieved[3, :3], seen.achieved[:3], atol=1e-6)
+    np.testing.assert_allclose(episode.action, 0.2)
+    assert store.verify() == []
+
+
+def test_what_is_no_demonstration_is_told_so(lift: Any, tmp_path: Path) -> None:
+    source = raw(tmp_path / "demo.hdf5", lift)
+    with h5py.File(source, "a") as file:
+        del file["data/demo_2/states"]
+        file["data/demo_2/states"] = np.zeros((4, 9))
+        del file["data/demo_3"].attrs["model_file"]
+    found = RobosuiteFile(source)
+    assert "demo_2 has 4 states and 5 actions" in found.problems()[2]
+    assert "demo_3 has no model" in found.problems()[3]
+    with pytest.raises(StoreError, match="2 of 3 recordings are broken"):
+        import_recordings(found, tmp_path / "out")
+    store = import_recordings(found, tmp_path / "out", skip_broken=True, say=lambda _: None)
+    assert store.indices().tolist() == [1]
+    with h5py.File(source, "a") as file:
+        del file["data/demo_1/states"]
+        file["data/demo_1/states"] = np.zeros((5, 9))
+    [(_, got)] = list(RobosuiteFile(source).read([1]))
+    assert "demo_1: states of (5, 9) do not fit its model" in str(got)
+
+
+@pytest.mark.parametrize(
+    ("xml", "words"),
+    [
+        ('<mujoco><asset><mesh name="a" file="/etc/passwd"/></asset></mujoco>', "which is not robosuite's"),
+        (
+            '<mujoco><asset><mesh name="a" file="/x/robosuite/../../secret.obj"/></asset></mujoco>',
+            "which is not robosuite's",
+        ),
+        ('<mujoco><include file="/etc/passwd"/></mujoco>', "includes other files"),
+        ("<mujoco><worldbody></mujoco>", "cannot be compiled"),
+        ("<mujoco><worldbody/></mujoco>", "has no hand"),
+    ],
+)
+def test_a_model_reads_nothing_but_robosuites_files(xml: str, words: str) -> None:
+    with pytest.raises(StoreError, match=words):
+        Scene(xml, "demo_1")
