@@ -22,6 +22,8 @@ from typing import Any, Protocol, Self
 
 import mujoco
 import numpy as np
+from ogbench.manipspace import mjcf_utils
+from ogbench.manipspace.envs.manipspace_env import ManipSpaceEnv
 
 from playlearn.episode import Array, Observation
 from playlearn.errors import UsageError
@@ -31,14 +33,8 @@ from playlearn.sim.gl import backend
 from playlearn.sim.lean import VISUAL_GROUP
 from playlearn.sim.render import Renderer
 from playlearn.store.ogbench import ACTION_NAMES, STATE_NAMES, WIDEST
-from playlearn.tasks.ogbench.config import WANTED, OgbenchConfig
+from playlearn.tasks.ogbench.config import OgbenchConfig
 from playlearn.tasks.ogbench.picture import Pictures
-
-try:
-    from ogbench.manipspace import mjcf_utils
-    from ogbench.manipspace.envs.manipspace_env import ManipSpaceEnv
-except ImportError as error:
-    raise UsageError(f"{WANTED} ({error})") from error
 
 TOLERANCE = 0.04  # metres, OGBench's own, of cubes, drawer and window
 _SHUT = 0.8  # rad of the gripper's joint
