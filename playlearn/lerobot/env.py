@@ -52,8 +52,8 @@ class PlaylearnEnvConfig(EnvConfig):  # type: ignore[misc]
         self.features_map = {"action": "action"}
         numbers = {"agent_pos": "observation.state", "environment_state": "observation.environment_state"}
         kinds = {"agent_pos": FeatureType.STATE, "environment_state": FeatureType.ENV, "goal.state": FeatureType.STATE}
-        for key, space in env.observation_space.items():
-            if key == "pixels":
+        for key, space in env.seen.items():
+            if isinstance(space, spaces.Dict):
                 for camera, box in space.items():
                     self.features[f"pixels/{camera}"] = PolicyFeature(FeatureType.VISUAL, box.shape)
                     self.features_map[f"pixels/{camera}"] = IMAGES + camera
@@ -113,9 +113,11 @@ class GoalEnv(gym.Env[dict[str, Any], Array]):
             key: spaces.Box(-LIMIT, LIMIT, (n,), np.float32) for key, n in numbers.items()
         }
         if shown:
-            pictures = {name: spaces.Box(0, 255, image.shape, np.uint8) for name, image in shown.items()}
+            pictures: dict[str, spaces.Space[Any]] = {
+                name: spaces.Box(0, 255, image.shape, np.uint8) for name, image in shown.items()
+            }
             boxes["pixels"] = spaces.Dict(pictures)
-        self.observation_space = spaces.Dict(boxes)
+        self.observation_space = self.seen = spaces.Dict(boxes)
         self.action_space = spaces.Box(-1.0, 1.0, (len(self.world.spec.action_names),), np.float32)
         self._next = 0
         self._setup: Setup | None = None

@@ -16,7 +16,7 @@ _NEARBY = 0.3  # metres from which a moving camera may come to see what it does 
 
 
 def lean_model(spec: mujoco.MjSpec, home: Array, rows: int) -> mujoco.MjModel:
-    """The scene, which is changed, compiled for drawing images with up to `rows` rows; home (nq,) is a pose typical of the cameras.
+    """The scene, which is changed, compiled for images of up to `rows` rows; home (nq,) is a pose typical of cameras.
 
     Meshes of one body that look alike become one geom under the name of the first.
     """
