@@ -15,7 +15,6 @@ from playlearn.relabel import (
     FinalConfig,
     FixedConfig,
     GoalSamplerConfig,
-    SettledConfig,
     SettlingConfig,
     Table,
     UniformConfig,
@@ -223,54 +222,6 @@ def test_only_what_the_goal_speaks_of_settles_and_is_balanced(tmp_path: Path) ->
         assert data.batch(0, np.arange(2)).goal_achieved.shape == (2, 7)  # the batch says everything, as ever
     with pytest.raises(UsageError, match=r"goal_names: 'green\.\*' matches none of: red\.x"):
         DataConfig(goal_names=("green.*",), heldout_share=0.0).build(store, "train", 0)
-
-
-def test_a_change_is_what_the_next_settled_moment_will_differ_in(tmp_path: Path) -> None:
-    """Red has moved by observation 50 and settles at 56, the lamp goes on at 100 and settles at 106."""
-    achieved = np.zeros((201, 7), np.float32)
-    achieved[50:, 0], achieved[100:, 6] = 0.1, 1.0
-    episode = dataclasses.replace(make_episode(np.random.default_rng(0), 200), achieved=achieved)
-    store = NativeStore.create(tmp_path / "play", StoreSpec.of(episode))
-    with store.writer() as writer:
-        writer.append(episode)
-    config = DataConfig(goals=SettledConfig(ahead=3), chunk=1, labels="change", heldout_share=0.0)
-    data = config.build(store, "train", 0)
-    expected = np.zeros((106, 7), np.float32)
-    expected[:50, 0] = 0.1  # from observation 50 on nothing of that change is left
-    expected[56:100, 6] = 1.0
-    batch = data.batch(0, np.arange(106))
-    np.testing.assert_allclose(batch.action[:, 0].numpy(), expected)
-    assert batch.action_mask.all()
-    np.testing.assert_allclose(data.labels(), expected)
-    shown = statistics(data)
-    np.testing.assert_allclose(shown["action"].std, shown["achieved"].std)
-    assert not shown["action"].mean.any()
-    with pytest.raises(UsageError, match=r"a change is one label, so set policy\.chunk to 1"):
-        dataclasses.replace(config, chunk=8).build(store, "train", 0)
-
-
-def test_a_detour_teaches_no_proposer(tmp_path: Path) -> None:
-    """Red goes away (settled at 56) and comes back (106), then the lamp goes on (156).
-
-    Of the goals one to three settled moments ahead, those of the time before 50 are: red away (nearer: counts), red
-    back (nothing differs: a detour) and red back with the lamp on (as much differs after the change as before it).
-    """
-    achieved = np.zeros((201, 7), np.float32)
-    achieved[50:100, 0], achieved[150:, 6] = 0.1, 1.0
-    episode = dataclasses.replace(make_episode(np.random.default_rng(0), 200), achieved=achieved)
-    store = NativeStore.create(tmp_path / "play", StoreSpec.of(episode))
-    with store.writer() as writer:
-        writer.append(episode)
-    config = DataConfig(goals=SettledConfig(ahead=3), chunk=1, labels="change", detours=False, heldout_share=0.0)
-    data = config.build(store, "train", 0)
-    seen = np.arange(50)
-    for epoch in range(5):
-        goal = np.searchsorted([56, 106, 156], data.goals(epoch, seen), side="right")
-        counts = data.batch(epoch, seen).action_mask[:, 0].numpy()
-        np.testing.assert_array_equal(counts, goal == 1)
-        assert {1, 2, 3} == set(goal.tolist())
-    back = data.batch(0, np.arange(56, 100))  # from there on every goal is nearer once red is back
-    assert back.action_mask.all()
 
 
 def test_both_splits_have_the_thresholds_of_what_is_trained_on(tmp_path: Path) -> None:

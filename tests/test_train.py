@@ -188,7 +188,9 @@ def test_a_run_folder_is_never_overwritten(play: Path, tmp_path: Path) -> None:
 
 def test_a_store_without_the_cameras_is_refused_with_the_command_that_draws_them(tmp_path: Path) -> None:
     make_store(tmp_path / "blind", np.random.default_rng(0), episodes=2, steps=60)
-    with pytest.raises(UsageError, match=r"no images of front, wrist; `playlearn render .*blind OUT --camera front="):
+    with pytest.raises(
+        UsageError, match=r"no images of front, wrist \(it has: none\); `playlearn render .*blind OUT --camera front="
+    ):
         train(config(tmp_path / "blind", "cnn"), tmp_path / "run")
     with pytest.raises(StoreError):
         train(config(tmp_path / "nowhere"), tmp_path / "run")

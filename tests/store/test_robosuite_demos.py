@@ -23,7 +23,7 @@ def lift() -> Any:
 
 def raw(path: Path, world: Any, demos: int = 3, xml: str | None = None) -> Path:
     """A file as `collect_human_demonstrations` writes it, by somebody else on another machine."""
-    elsewhere = (world._xml if xml is None else xml).replace(HOME, "/home/somebody/robosuite")
+    elsewhere = (world._xml if xml is None else xml).replace(HOME, "/opt/somebody/robosuite")
     with h5py.File(path, "w") as file:
         data = file.create_group("data")
         data.attrs["env"], data.attrs["env_info"] = "Lift", '{"control_freq": 20, "robots": "Panda"}'
