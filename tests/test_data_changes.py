@@ -8,7 +8,7 @@ import pytest
 
 from playlearn.data import DataConfig, statistics
 from playlearn.errors import UsageError
-from playlearn.relabel import SettledConfig
+from playlearn.relabel import SettledConfig, SettlingConfig
 from playlearn.store import NativeStore, StoreSpec
 from tests.synthetic import make_episode
 
@@ -59,3 +59,13 @@ def test_a_detour_teaches_no_proposer(tmp_path: Path) -> None:
         assert {1, 2, 3} == set(goal.tolist())
     back = data.batch(0, np.arange(56, 100))  # from there on every goal is nearer once red is back
     assert back.action_mask.all()
+
+
+def test_without_achieved_there_is_no_change_to_learn(tmp_path: Path) -> None:
+    episode = make_episode(np.random.default_rng(0), 200)
+    store = NativeStore.create(tmp_path / "play", StoreSpec.of(episode))
+    with store.writer() as writer:
+        writer.append(episode)
+    config = DataConfig(settling=SettlingConfig(source="robot"), chunk=1, labels="change", heldout_share=0.0)
+    with pytest.raises(UsageError, match=r"data\.labels: .* no change to learn; leave labels at actions"):
+        config.build(store, "train", 0)

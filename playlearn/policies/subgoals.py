@@ -82,11 +82,8 @@ class SubgoalActor:
             return
         changes = self._proposer.act(observations, due)
         for k in np.flatnonzero(due).tolist():
-            subgoal, steps = (
-                self._exact(k, believed[k], (believed[k] + changes[k].action).astype(np.float32)),
-                self._steps,
-            )
-            goal = self._goals[k]
+            goal, steps = self._goals[k], self._steps
+            subgoal = self._exact(k, believed[k], (believed[k] + changes[k].action).astype(np.float32))
             if goal is not None and self._proposer.reads == "state" and self._reached(believed[k], subgoal):
                 subgoal, steps = goal.achieved, self._worker.execute
             self._subgoals[k], self._until[k] = subgoal, self._moment + steps

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from playlearn.config import nearest
-from playlearn.episode import Array
-from playlearn.errors import StoreError, UsageError
+from playlearn.episode import Array, Episode
+from playlearn.errors import EpisodeError, StoreError, UsageError
 
 _DEMO = re.compile(r"demo_(\d+)")
 
@@ -113,3 +113,35 @@ def described(group: Any, key: str) -> dict[str, Any]:
         return dict(json.loads(text))
     except (TypeError, ValueError) as error:
         raise StoreError(f"{group.file.filename}: the attribute {key} of {group.name} is not JSON ({error})") from error
+
+
+class Demonstrations:
+    """What files of robomimic and of robosuite have in common as `Recordings`; set up by who knows the format.
+
+    _names, _problems: number of a demonstration -> its name, and what is wrong with it.
+    """
+
+    _path: Path
+    _names: Mapping[int, str]
+    _problems: Mapping[int, str]
+
+    def names(self) -> Mapping[int, str]:
+        return self._names
+
+    def problems(self) -> Mapping[int, str]:
+        return self._problems
+
+    def read(self, numbers: Sequence[int]) -> Iterator[tuple[int, Episode | StoreError]]:
+        with opened(self._path) as file:
+            for number in numbers:
+                name = f"{self._path}: {self._names[number]}"
+                try:
+                    yield number, self._episode(file["data"][self._names[number]], number, name)
+                except (EpisodeError, OSError) as error:
+                    yield number, StoreError(f"{name}: {error}")
+                except StoreError as error:
+                    yield number, error
+
+    def _episode(self, group: Any, number: int, name: str) -> Episode:
+        """One demonstration, called `name` in messages."""
+        raise NotImplementedError

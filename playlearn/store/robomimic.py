@@ -4,7 +4,7 @@ A demonstration has T actions and the T observations before them; what the last 
 episode has its first T - 1 actions. Numbers keep robomimic's names: `robot0_eef_pos.x`, `object.3`.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,9 @@ import numpy as np
 
 from playlearn.config import nearest, to_dict
 from playlearn.episode import Array, Episode, EpisodeMeta
-from playlearn.errors import EpisodeError, StoreError, UsageError
+from playlearn.errors import StoreError, UsageError
 from playlearn.store.base import StoreSpec
-from playlearn.store.hdf5 import chosen, dataset, demonstrations, described, masks, opened
+from playlearn.store.hdf5 import Demonstrations, chosen, dataset, demonstrations, described, masks, opened
 
 FPS = 20.0  # robosuite's own, where a file does not say
 ACTIONS = ("dx", "dy", "dz", "droll", "dpitch", "dyaw", "gripper")  # robosuite's OSC_POSE
@@ -39,7 +39,7 @@ class RobomimicConfig:
     fps: float | None = None
 
 
-class RobomimicFile:
+class RobomimicFile(Demonstrations):
     """`Recordings` of one file; it is open only while it is read."""
 
     def __init__(self, path: Path, config: RobomimicConfig | None = None) -> None:
@@ -74,20 +74,6 @@ class RobomimicFile:
         )
         self.note = {"format": "robomimic", "source": path.name, "bytes": path.stat().st_size} | to_dict(config)
 
-    def names(self) -> Mapping[int, str]:
-        return self._names
-
-    def problems(self) -> Mapping[int, str]:
-        return self._problems
-
-    def read(self, numbers: Sequence[int]) -> Iterator[tuple[int, Episode | StoreError]]:
-        with opened(self._path) as file:
-            for number in numbers:
-                try:
-                    yield number, self._episode(file["data"][self._names[number]], number)
-                except (EpisodeError, StoreError, OSError) as error:
-                    yield number, StoreError(f"{self._path}: {self._names[number]}: {error}")
-
     def _all(self) -> list[str]:
         return ["actions", *(f"obs/{key}" for key in (*self._state, *self._achieved)), *self._cameras.values()]
 
@@ -116,7 +102,7 @@ class RobomimicFile:
             names += [f"{key}.{part}" for part in (parts if len(parts) == width else range(width))]
         return tuple(names)
 
-    def _episode(self, group: Any, number: int) -> Episode:
+    def _episode(self, group: Any, number: int, name: str) -> Episode:
         steps = dataset(group, "actions").shape[0] - 1
 
         def together(keys: Sequence[str]) -> Array:

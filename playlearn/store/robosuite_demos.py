@@ -8,7 +8,7 @@ achieved    <joint>.x y z qw qx qy qz of what lies free, <joint>.pos of what tur
 """
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,9 @@ import numpy as np
 
 from playlearn.config import to_dict
 from playlearn.episode import Array, Episode, EpisodeMeta
-from playlearn.errors import EpisodeError, StoreError
+from playlearn.errors import StoreError
 from playlearn.store.base import StoreSpec
-from playlearn.store.hdf5 import chosen, dataset, demonstrations, described, masks, opened
+from playlearn.store.hdf5 import Demonstrations, chosen, dataset, demonstrations, described, masks, opened
 from playlearn.store.robomimic import ACTIONS, FPS
 
 _PLACE = ("x", "y", "z", "qw", "qx", "qy", "qz")
@@ -37,7 +37,7 @@ class RobosuiteConfig:
     fps: float | None = None
 
 
-class RobosuiteFile:
+class RobosuiteFile(Demonstrations):
     """`Recordings` of one file."""
 
     def __init__(self, path: Path, config: RobosuiteConfig | None = None) -> None:
@@ -73,23 +73,6 @@ class RobosuiteFile:
             fps=float(config.fps or info.get("control_freq") or FPS),
         )
         self.note = {"format": "robosuite", "source": path.name, "bytes": path.stat().st_size} | to_dict(config)
-
-    def names(self) -> Mapping[int, str]:
-        return self._names
-
-    def problems(self) -> Mapping[int, str]:
-        return self._problems
-
-    def read(self, numbers: Sequence[int]) -> Iterator[tuple[int, Episode | StoreError]]:
-        with opened(self._path) as file:
-            for number in numbers:
-                name = f"{self._path}: {self._names[number]}"
-                try:
-                    yield number, self._episode(file["data"][self._names[number]], number, name)
-                except (EpisodeError, OSError) as error:
-                    yield number, StoreError(f"{name}: {error}")
-                except StoreError as error:
-                    yield number, error
 
     def _episode(self, group: Any, number: int, name: str) -> Episode:
         scene, states = Scene(group.attrs["model_file"], name), np.asarray(dataset(group, "states"), np.float64)
