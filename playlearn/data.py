@@ -149,8 +149,8 @@ class PlayDataset:
         self.table = Table.of_store(store, config.settling, config.goal_names, self.episodes.tolist(), learned)
         if config.labels == "change" and len(self.table.change) == 0:
             raise UsageError(
-                f"data.labels: {store.name()} does not say what is achieved, or its settled moments are the robot's: there "
-                "is no change to learn; leave labels at actions"
+                f"data.labels: {store.name()} does not say what is achieved, or its settled moments are the robot's; "
+                "there is no change to learn; leave labels at actions"
             )
         self._spoken = matching(store.spec.achieved_names, config.goal_names)
         self.achieved = np.concatenate([store.array(int(i), "achieved") for i in self.episodes])  # (sum T+1, G)
