@@ -41,7 +41,9 @@ class TrainConfig:
     corrections: moments with the hand put aside and the way back as label, made before the first update and shown
     among the recorded ones (see CorrectionsConfig); null for none.
     more: further play beside it, each store with its share of every batch. init: a run from whose policy training goes
-    on, its weights, normaliser and all; null for a fresh one.
+    on, its weights, normaliser and all; null for a fresh one. A policy of states gives all but the eyes to one that reads
+    its numbers off images (`feed_estimate`), the rest of the policy being the same.
+    learn: shell-style patterns of the parameters that are trained; all others stay as they are.
     batch_size: examples an update and process. steps: updates, unless max_minutes of wall clock are over
     before; the learning rate then falls with whichever is further on, and a resumed run is no longer bit for
     bit an unbroken one. lr: peak learning rate, after `warmup` updates, then a cosine to zero.
@@ -57,6 +59,7 @@ class TrainConfig:
     corrections: CorrectionsConfig | None = None
     more: tuple[Source, ...] = ()
     init: Path | None = None
+    learn: tuple[str, ...] = ("*",)
     batch_size: int = 256
     steps: int = 20_000
     max_minutes: float | None = None
@@ -154,8 +157,9 @@ class _Run:
         policy = self._begun()
         policy.to(self.accelerator.device)
         self.ema = averaged(policy, config.ema_decay)
-        matrices = [parameter for parameter in policy.parameters() if parameter.ndim > 1]
-        vectors = [parameter for parameter in policy.parameters() if parameter.ndim <= 1]
+        learned = policy.learning(config.learn)
+        matrices = [parameter for parameter in learned if parameter.ndim > 1]
+        vectors = [parameter for parameter in learned if parameter.ndim <= 1]
         decays: list[dict[str, Any]] = [{"params": matrices}, {"params": vectors, "weight_decay": 0.0}]
         optimizer = torch.optim.AdamW(decays, lr=config.lr, weight_decay=config.weight_decay, fused=True)
         self.policy = policy
@@ -171,11 +175,13 @@ class _Run:
             policy = config.policy.build(self.spec, statistics(self.data), config.seed)
             policy.fit(torch.as_tensor(self.data.labels()))
             return policy
-        policy = Policy.load(config.init / "policy")
-        if policy.config != config.policy:
-            raise UsageError(f"init: the policy of {config.init} was built otherwise: give its own `policy` block")
-        policy.check(self.spec, self.spec.cameras)
-        return policy.train()
+        begun = Policy.load(config.init / "policy")
+        begun.check(self.spec, self.spec.cameras)
+        if begun.config == config.policy:
+            return begun.train()
+        policy = config.policy.build(self.spec, None, config.seed)
+        policy.adopt(begun, config.init)
+        return policy
 
     def correct(self) -> None:
         """Make what corrections are asked for, and show them."""

@@ -1,7 +1,8 @@
 """A goal-conditioned policy: encoder, trunk and head over a normaliser."""
 
+import fnmatch
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from playlearn.policies.trunks import TransformerConfig, TrunkConfig
 
 WEIGHTS, DESCRIPTION = "policy.safetensors", "policy.json"
 FORMAT = 1
+_NOTHING = torch.empty(0)
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,39 @@ class Policy(nn.Module):
     def fit(self, actions: Tensor) -> None:
         """Let the head look at the training data's actions (n, A), before the first update."""
         self.head.fit(self.normaliser.normalise("action", actions).unsqueeze(1))
+
+    def adopt(self, other: "Policy", source: Path) -> None:
+        """Take over all of another policy, all of which must have its place here; source: its run.
+
+        Raises:
+            UsageError: something has no place.
+        """
+        own, given = self.state_dict(), other.state_dict()
+        apart = {name.split(".")[0] for name in own if not name.startswith("encoder.") and name not in given}
+        apart |= {name.split(".")[0] for name, value in given.items() if own.get(name, _NOTHING).shape != value.shape}
+        apart |= {part for part in ("trunk", "head") if getattr(self.config, part) != getattr(other.config, part)}
+        if apart:
+            raise UsageError(
+                f"init: the policy of {source} has another {' and '.join(sorted(apart))}: give its own `policy` block; "
+                "eyes for a policy of states need its `hidden`, and feed_estimate: true"
+            )
+        self.load_state_dict(own | given)
+
+    def learning(self, patterns: Sequence[str]) -> list[nn.Parameter]:
+        """The parameters that some shell-style pattern names; all others are frozen.
+
+        Raises:
+            UsageError: a pattern names none.
+        """
+        named = dict(self.named_parameters())
+        for pattern in patterns:
+            if not fnmatch.filter(named, pattern):
+                there = sorted({".".join(name.split(".")[:2]) + ".*" for name in named})
+                raise UsageError(f"learn: {pattern!r} names no parameter; there are {', '.join(there)}")
+        for name, parameter in named.items():
+            if not any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns):
+                parameter.requires_grad_(False)
+        return [parameter for parameter in named.values() if parameter.requires_grad]
 
     def forward(self, batch: Labelled, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
         """Scalar training loss and its parts; all randomness (dropout, augmentation, noise) from `generator`."""
