@@ -41,8 +41,8 @@ class TrainConfig:
     corrections: moments with the hand put aside and the way back as label, made before the first update and shown
     among the recorded ones (see CorrectionsConfig); null for none.
     more: further play beside it, each store with its share of every batch. init: a run from whose policy training goes
-    on, its weights, normaliser and all; null for a fresh one. A policy of states gives all but the eyes to one that reads
-    its numbers off images (`feed_estimate`), the rest of the policy being the same.
+    on, its weights, normaliser and all; null for a fresh one. A policy of states gives all but the eyes to one that
+    reads its numbers off images (`feed_estimate`), the rest of the policy being the same.
     learn: shell-style patterns of the parameters that are trained; all others stay as they are.
     batch_size: examples an update and process. steps: updates, unless max_minutes of wall clock are over
     before; the learning rate then falls with whichever is further on, and a resumed run is no longer bit for
