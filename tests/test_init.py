@@ -93,7 +93,9 @@ def test_what_does_not_fit_is_refused(play: Path, started: Path, tmp_path: Path)
         SEEING | {"hidden": 8},
         {"type": "state", "hidden": 8},
     ):
-        with pytest.raises(UsageError, match=r"init: the policy of .* has another .*; eyes for a policy of states need"):
+        with pytest.raises(
+            UsageError, match=r"init: the policy of .* has another .*; eyes for a policy of states need"
+        ):
             train(config(play, encoder, init=str(started)), tmp_path / "run")
     with pytest.raises(UsageError, match=r"learn: 'eyes' names no parameter; there are encoder\.estimate"):
         train(config(play, SEEING, learn=["eyes"]), tmp_path / "run")
