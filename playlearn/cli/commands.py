@@ -160,9 +160,8 @@ def _export_policy(arguments: argparse.Namespace) -> int:
     from playlearn.lerobot.publish import export_policy
 
     export_policy(arguments.source, arguments.out)
-    print(
-        f"{arguments.out}: a policy for LeRobot; try `lerobot-eval --policy.path={arguments.out} --env.type=playlearn`"
-    )
+    words = f"lerobot-eval --policy.path={arguments.out} --env.type=playlearn --env.suite=eval/suites/NAME.yaml"
+    print(f"{arguments.out}: a policy for LeRobot; try `{words}`")
     return DONE
 
 
