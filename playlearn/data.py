@@ -92,7 +92,8 @@ class DataConfig:
         dimensions that a goal speaks of; what else changes settles nothing and is not balanced.
     history: observations a policy sees (T).
     chunk: actions it predicts (H). cameras, goal_cameras: what is looked through, now and for the goal.
-    heldout_share: of the episodes, never trained on. mask_after_goal: actions past the goal teach nothing.
+    heldout_share: of the episodes, never trained on (or, above 0, those that an import's own mask holds out).
+    mask_after_goal: actions past the goal teach nothing.
     balance: 0 draws steps as they come; 1 draws each kind of change (which groups of the achieved goal
         change next) equally often; between them, in proportion to count ** (1 - balance).
     failures: the share that is kept of the examples whose attempt (see `relabel.failures`) is yet to fail: even a
@@ -140,7 +141,7 @@ class PlayDataset:
         """
         _check(config, split)
         _check_cameras(store, (*config.cameras, *config.goal_cameras))
-        out = heldout_episodes(store.indices(), config.heldout_share)
+        out = held_out(store, config.heldout_share)
         self.episodes: Indices = np.flatnonzero(out if split == "heldout" else ~out)  # (N,) positions in the store
         if len(self.episodes) == 0:
             raise StoreError(f"{store.name()} has no {split} episodes among its {len(store)}: collect more play")
@@ -337,6 +338,15 @@ def statistics(dataset: PlayDataset) -> dict[str, Statistics]:
     if dataset.config.labels == "change":
         made["action"] = dataclasses.replace(made["achieved"], mean=np.zeros_like(made["achieved"].mean))
     return made
+
+
+def held_out(store: Store, share: float) -> NDArray[np.bool_]:
+    """(N,) which episodes of a store are held out: those that were recorded as such, else by their numbers."""
+    by_number = heldout_episodes(store.indices(), share)
+    if share <= 0:
+        return by_number
+    said = np.array([store.meta(i).split for i in range(len(store))], np.str_)
+    return np.asarray(np.where(said == "", by_number, said == "heldout"), np.bool_)
 
 
 def heldout_episodes(indices: Indices, share: float) -> NDArray[np.bool_]:

@@ -149,6 +149,10 @@ def diagnose(arguments: argparse.Namespace) -> int:
 
 
 def export(arguments: argparse.Namespace) -> int:
+    if arguments.format != "lerobot":
+        given = [f"--{name}" for name in ("videos", "goals", "subtasks", "push", "private") if getattr(arguments, name)]
+        if given or arguments.overrides:
+            raise UsageError(f"{(given + arguments.overrides)[0]} says nothing of `export {arguments.format}`")
     return EXPORTS[arguments.format](arguments)
 
 
@@ -156,9 +160,8 @@ def _export_policy(arguments: argparse.Namespace) -> int:
     from playlearn.lerobot.publish import export_policy
 
     export_policy(arguments.source, arguments.out)
-    print(
-        f"{arguments.out}: a policy for LeRobot; try `lerobot-eval --policy.path={arguments.out} --env.type=playlearn`"
-    )
+    words = f"lerobot-eval --policy.path={arguments.out} --env.type=playlearn --env.suite=eval/suites/NAME.yaml"
+    print(f"{arguments.out}: a policy for LeRobot; try `{words}`")
     return DONE
 
 
@@ -186,7 +189,22 @@ def _export_lerobot(arguments: argparse.Namespace) -> int:
     return DONE
 
 
-EXPORTS = {"lerobot": _export_lerobot, "policy": _export_policy}
+def _export_robomimic(arguments: argparse.Namespace) -> int:
+    from playlearn.data import DataConfig, held_out
+    from playlearn.report.progress import Progress
+    from playlearn.store import open_store
+    from playlearn.store.robomimic_export import export_robomimic
+
+    store = open_store(arguments.source)
+    out, numbers = held_out(store, DataConfig().heldout_share), store.indices()
+    masks = {"train": numbers[~out].tolist(), "valid": numbers[out].tolist()}
+    with Progress(f"export {arguments.out}", len(store), "episode") as progress:
+        export_robomimic(store, arguments.out, masks, progress.to)
+    print(f"{arguments.out}: robomimic's HDF5, {len(store)} episodes, {len(masks['valid'])} of them under mask valid")
+    return DONE
+
+
+EXPORTS = {"lerobot": _export_lerobot, "robomimic": _export_robomimic, "policy": _export_policy}
 
 
 def import_(arguments: argparse.Namespace) -> int:

@@ -100,7 +100,9 @@ def _parser() -> argparse.ArgumentParser:
     _judged(made, "diagnosis.json and .html")
 
     made = verb(commands.export, "export", "write a store, or a run's policy, in a format that others read", free=True)
-    made.add_argument("format", choices=tuple(commands.EXPORTS), help="a store as LeRobot's dataset; a run's policy")
+    made.add_argument(
+        "format", choices=tuple(commands.EXPORTS), help="a store for LeRobot or robomimic; a run's policy"
+    )
     made.add_argument("source", type=Path, metavar="STORE|RUN")
     made.add_argument("out", type=Path, metavar="OUT")
     made.add_argument(

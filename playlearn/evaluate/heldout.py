@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 
 from playlearn.config import from_dict, to_dict
-from playlearn.data import DataConfig, heldout_episodes
+from playlearn.data import DataConfig, held_out
 from playlearn.episode import Array
 from playlearn.errors import PlaylearnError, StoreError, UsageError
 from playlearn.evaluate.suite import Judge, Setup, SuiteKind, derived_seed, goal_from
@@ -112,7 +112,7 @@ def _candidates(
 ) -> tuple[Store, tuple[tuple[int, int, str], ...]]:
     """The store, and every settled moment of its held-out episodes: episode, moment, what had changed."""
     store = open_store(path)
-    heldout = heldout_episodes(store.indices(), share)
+    heldout = held_out(store, share)
     out, trained = np.flatnonzero(heldout), np.flatnonzero(~heldout)
     if len(out) == 0:
         raise StoreError(f"{store.name()} has no held-out episodes among its {len(store)}: collect more play")

@@ -16,6 +16,15 @@ from playlearn.errors import EpisodeError, StoreError, UsageError
 _DEMO = re.compile(r"demo_(\d+)")
 
 
+def library() -> Any:
+    """h5py. Raises UsageError where it is not installed."""
+    try:
+        import h5py
+    except ImportError as error:
+        raise UsageError("HDF5 needs the extra `robomimic`: pip install 'playlearn[robomimic]'") from error
+    return h5py
+
+
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
     """The file's group `data` belongs to, open for reading.
@@ -24,10 +33,7 @@ def opened(path: Path) -> Iterator[Any]:
         UsageError: h5py is not installed.
         StoreError: there is no such file, or it cannot be read as HDF5.
     """
-    try:
-        import h5py
-    except ImportError as error:
-        raise UsageError("reading HDF5 needs the extra `robomimic`: pip install 'playlearn[robomimic]'") from error
+    h5py = library()
     if not path.is_file():
         raise StoreError(f"there is no file {path}")
     try:

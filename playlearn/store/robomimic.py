@@ -21,21 +21,23 @@ FPS = 20.0  # robosuite's own, where a file does not say
 ACTIONS = ("dx", "dy", "dz", "droll", "dpitch", "dyaw", "gripper")  # robosuite's OSC_POSE
 _BODY = ("eef_pos", "eef_quat", "gripper_qpos")
 _PARTS = {"pos": ("x", "y", "z"), "quat": ("qx", "qy", "qz", "qw")}
-_IMAGE = "_image"
+IMAGE, WON = "_image", "success"  # how a camera's key ends, and how an episode that was rewarded does
 
 
 @dataclass(frozen=True)
 class RobomimicConfig:
     """state, achieved: keys of `obs` that tell of the robot, and of what goals speak (null: see `_keys`).
 
-    cameras: names without their `_image` (null: all). mask: import only what is under this one. fps: control steps a
-    second (null: as the file says, else 20).
+    cameras: names without their `_image` (null: all). mask: import only what is under this one. heldout: the mask
+    that training holds out; where it names none of the imported, or all, they are held out by their numbers as any
+    play is. fps: control steps a second (null: as the file says, else 20).
     """
 
     state: tuple[str, ...] | None = None
     achieved: tuple[str, ...] | None = None
     cameras: tuple[str, ...] | None = None
     mask: str | None = None
+    heldout: str = "valid"
     fps: float | None = None
 
 
@@ -55,6 +57,8 @@ class RobomimicFile(Demonstrations):
             self.splits: Mapping[str, Sequence[int]] = masks(file, path, names)
             wanted = chosen(config.mask, self.splits, path)
             self._names = {number: name for number, name in names.items() if wanted is None or number in wanted}
+            out = self._names.keys() & set(self.splits.get(config.heldout, ()))
+            self._out = out if out != self._names.keys() else set()
             arguments = described(file["data"], "env_args")
             first = file["data"][next(iter(self._names.values()))]
             self._state, self._achieved, self._cameras = _keys(first, path, config)
@@ -121,7 +125,8 @@ class RobomimicFile(Demonstrations):
             seed=number,
             actor="demonstrator",
             cameras={camera: {"height": h, "width": w} for camera, (h, w) in self.spec.cameras.items()},
-            ended="success" if won else "length",
+            ended=WON if won else "length",
+            split=("heldout" if number in self._out else "train") if self._out else "",
         )
         return Episode(
             meta=meta,
@@ -149,7 +154,7 @@ def _keys(group: Any, path: Path, config: RobomimicConfig) -> tuple[tuple[str, .
             "or let robomimic's dataset_states_to_obs.py observe it first"
         )
     shapes = {key: dataset(group["obs"], key) for key in group["obs"]}
-    images = {key.removesuffix(_IMAGE): f"obs/{key}" for key, one in shapes.items() if _is_image(one)}
+    images = {key.removesuffix(IMAGE): f"obs/{key}" for key, one in shapes.items() if _is_image(one)}
     vectors = [key for key, one in shapes.items() if one.ndim in (1, 2) and np.issubdtype(one.dtype, np.number)]
     robots = [key for key in vectors if key.startswith("robot")]
     hands = [key for key in robots if key.partition("_")[2] in _BODY]

@@ -10,7 +10,7 @@ import torch
 
 from playlearn.config import from_dict
 from playlearn.errors import UsageError
-from playlearn.evaluate.suite import SuiteConfig
+from playlearn.evaluate.suite import SuiteConfig, load_suite
 from playlearn.evaluate.tasks import TasksConfig
 from playlearn.lerobot.publish import export_policy
 from playlearn.policies import Policy, PolicyConfig, PolicySpec
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # what LeRobot and the packages below it warn of is theirs to mend
 SUITE = SuiteConfig(name="point", environment=PointConfig(), kind=TasksConfig(rest_seconds=0.2), max_steps=40, hold=2)
+SUITES = Path(__file__).parents[2] / "eval" / "suites"
 SIZES = {"front": (24, 32), "wrist": (16, 16)}
 
 
@@ -55,6 +56,20 @@ def test_gymnasium_finds_nothing_to_blame(env: "GoalEnv") -> None:
     from gymnasium.utils.env_checker import check_env
 
     check_env(env, skip_render_check=True)
+
+
+@pytest.mark.parametrize("name", ["playtable_tasks", "lift", "ogbench_scene"])
+def test_gymnasium_finds_nothing_to_blame_in_our_worlds(name: str) -> None:
+    """It wants a reset and a step that depend on the seed alone, and every observation within its space."""
+    from gymnasium.utils.env_checker import check_env
+
+    from playlearn.lerobot.env import GoalEnv
+
+    if name.startswith("ogbench"):
+        pytest.importorskip("ogbench", reason="the extra `ogbench` is not installed")
+    env = GoalEnv(load_suite(SUITES / f"{name}.yaml"))
+    check_env(env, skip_render_check=True)
+    env.close()
 
 
 def test_a_seed_is_the_number_of_a_suites_episode(env: "GoalEnv") -> None:

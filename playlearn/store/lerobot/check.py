@@ -106,7 +106,7 @@ def usable(described: Description, problems: Sequence[Problem], skip: bool) -> l
     Raises:
         StoreError: something is wrong and was not to be skipped, or nothing is left.
     """
-    everything = [row for row in described.rows if row.length > 0]
+    everything = described.rows
     broken = frozenset[int]().union(*(problem.episodes for problem in problems))
     whole = [row for row in everything if row.index not in broken]
     if problems and not (skip and whole):

@@ -37,8 +37,9 @@ def scaled(picture: Array, size: Size) -> Array:
 
 
 def seconds(path: Path) -> float:
-    """How long a video is; raises StoreError where it is none."""
+    """How long a video is; raises StoreError where it is none, or is cut short."""
     try:
+        _check_end(path)
         with closing(av.open(str(path))) as container:
             stream = container.streams.video[0]
             if stream.duration is None or stream.time_base is None:
@@ -46,6 +47,22 @@ def seconds(path: Path) -> float:
             return float(stream.duration * stream.time_base)
     except (*UNREADABLE, FFmpegError) as error:
         raise StoreError(f"{path} cannot be read ({_said(error)}): fetch it again") from error
+
+
+def _check_end(path: Path) -> None:
+    """Raises StoreError where a box of an MP4 ends behind the file: its index may stand first, and promise frames."""
+    size, at = path.stat().st_size, 0
+    with path.open("rb") as file:
+        while at < size:
+            file.seek(at)
+            head = file.read(16)
+            if at == 0 and head[4:8] != b"ftyp":
+                return  # something else, of which only the decoder knows
+            told = int.from_bytes(head[:4])
+            length = {0: size - at, 1: int.from_bytes(head[8:16])}.get(told, told)  # 0: to the end, 1: it needs 64 bits
+            if length < 8 or at + length > size:
+                raise StoreError(f"{path} is cut short at {size} bytes: fetch it again")
+            at += length
 
 
 def _film(root: Path, row: Row, clip: Clip, fps: float, size: Size) -> Array:

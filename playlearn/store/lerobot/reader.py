@@ -226,11 +226,14 @@ class LeRobotStore:
         for row in described.rows:
             kept = self._rests[row.index]
             try:
-                words = "" if kept.steps == row.length else f"is of {kept.steps} steps, the episode of {row.length}"
-            except (StoreError, KeyError) as error:
-                words = f"cannot be read ({error})"
+                same = kept.steps == row.length
+                words = "" if same else f"{kept.path} is of {kept.steps} steps, the episode of {row.length}"
+            except StoreError as error:
+                words = str(error)
+            except KeyError as error:
+                words = f"{kept.path} lacks {error}"
             if words:
-                words = f"{kept.path} {words}; remove {rest.FOLDER}/ to read the dataset without it"
+                words += f"; or remove {rest.FOLDER}/ to read the dataset without it"
                 problems.append(check.Problem(words, frozenset({row.index})))
         return problems
 

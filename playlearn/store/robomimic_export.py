@@ -1,0 +1,116 @@
+"""A store as robomimic's HDF5 (Mandlekar et al., 2021, arXiv:2108.03298), which its own `SequenceDataset` reads.
+
+    data/demo_7/actions   (T, A)   the labels        obs/robot0_state   (T, S)          the robot's own body
+               /states    (T, N)                     obs/object         (T, G)          achieved: objects and fixtures
+               /rewards   (T,)     1 at success      obs/<camera>_image (T, h, w, 3)
+               /dones     (T,)     1 at the end      next_obs/...       the same, one step later
+    mask/train, mask/valid                           what training learns from, and what it holds out
+
+A demonstration bears its episode's number. Of each recording that `playlearn import robomimic` reads again, the last
+action is missing, for it reads `obs` only; what each number means stands in `env_args`, where robomimic passes it on.
+"""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from playlearn.config.record import sync_folder
+from playlearn.episode import Array, Episode
+from playlearn.errors import StoreError
+from playlearn.store.base import Store, plain
+from playlearn.store.hdf5 import library
+from playlearn.store.lerobot.content import REACHED
+from playlearn.store.robomimic import IMAGE, WON, RobomimicFile
+
+STATE, ACHIEVED = "robot0_state", "object"
+GYM = 2  # robomimic's number for environments that it does not make itself
+
+
+def export_robomimic(
+    store: Store,
+    out: Path,
+    masks: Mapping[str, Sequence[int]],
+    progress: Callable[[int], None] = lambda done: None,
+) -> None:
+    """Write a store to the file `out`: built beside it, looked through, and only then put there.
+
+    masks: name -> numbers of its episodes (as in `store.indices()`).
+
+    Raises:
+        UsageError: h5py is not installed.
+        StoreError: `out` is taken, there is nothing to write, or the disk is full.
+    """
+    if out.exists():
+        raise StoreError(f"{out} is there already: remove it to write it anew, or name another file")
+    if not len(store):
+        raise StoreError(f"{store.name()} holds no episodes: there is nothing to export")
+    short = [int(i) for i, steps in zip(store.indices(), store.lengths(), strict=True) if steps < 2]
+    if short:
+        raise StoreError(f"{store.name()}: episode {short[0]} has one action only, and a demonstration needs two")
+    building = out.with_name(f".{out.name}.building")
+    building.unlink(missing_ok=True)  # of an export that was killed
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with library().File(building, "w") as file:
+            data = file.create_group("data")
+            data.attrs["total"] = int(store.lengths().sum())
+            data.attrs["env_args"] = json.dumps(_environment(store))
+            for i, number in enumerate(store.indices().tolist()):
+                _write(data.create_group(f"demo_{number}"), store.read(i))
+                progress(i + 1)
+            for mask, members in masks.items():
+                file[f"mask/{mask}"] = np.array([f"demo_{number}" for number in sorted(members)], dtype="S")
+        _check(building, store)
+        building.replace(out)
+        sync_folder(out.parent)
+    except OSError as error:
+        raise StoreError(f"{out} cannot be written ({error.strerror or error}): nothing was left there") from error
+    finally:
+        building.unlink(missing_ok=True)
+
+
+def _environment(store: Store) -> dict[str, Any]:
+    """`env_args`. control_freq is where robosuite's worlds say it, and where our importer looks."""
+    spec = store.spec
+    names = {"state": spec.state_names, "achieved": spec.achieved_names, "action": spec.action_names}
+    return {
+        "env_name": str(spec.environment.get("type", "unknown")),
+        "type": GYM,
+        "env_kwargs": {"control_freq": spec.fps},
+        "playlearn": {"environment": plain(spec.environment), "names": plain(names)},
+    }
+
+
+def _write(group: Any, episode: Episode) -> None:
+    steps, ends = len(episode), np.arange(1, len(episode) + 1) == len(episode)
+    group.attrs["num_samples"] = steps
+    group["actions"] = episode.expert_action
+    group["states"] = episode.sim_state[:steps]
+    group["dones"] = ends.astype(np.int64)
+    meta = episode.meta
+    won = meta.ended == WON or bool(meta.task and meta.ended == REACHED)  # play without a task has nothing to win
+    group["rewards"] = (ends & won).astype(np.float64)
+    seen = {STATE: episode.state, ACHIEVED: episode.achieved}
+    for key, value in seen.items():
+        if value.shape[1]:
+            _both(group, key, value)
+    for camera, frames in episode.images.items():
+        # A chunk a frame: robomimic reads single moments, in no order.
+        _both(group, camera + IMAGE, frames, chunks=(1, *frames.shape[1:]), compression="gzip", compression_opts=1)
+
+
+def _both(group: Any, key: str, value: Array, **how: Any) -> None:
+    """What is seen before each action, and after it."""
+    group.create_dataset(f"obs/{key}", data=value[:-1], **how)
+    group.create_dataset(f"next_obs/{key}", data=value[1:], **how)
+
+
+def _check(path: Path, store: Store) -> None:
+    """Raises StoreError where what was written is not what another would import."""
+    made = RobomimicFile(path)
+    problems = made.problems()
+    if list(made.names()) != sorted(store.indices().tolist()) or problems:
+        raise StoreError(f"what was written reads back otherwise ({problems}): please report this as a bug")

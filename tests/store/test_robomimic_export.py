@@ -1,0 +1,92 @@
+"""A store as robomimic's HDF5: what it says, what comes back, and that a failure leaves nothing."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from playlearn.cli import main
+from playlearn.data import DataConfig, PlayDataset, held_out
+from playlearn.errors import StoreError
+from playlearn.relabel import UniformConfig
+from playlearn.store import NativeStore, StoreSpec, robomimic_export
+from playlearn.store.importing import import_recordings
+from playlearn.store.robomimic import RobomimicConfig, RobomimicFile
+from playlearn.store.robomimic_export import export_robomimic
+from tests.synthetic import make_episode
+
+h5py = pytest.importorskip("h5py", reason="the extra `robomimic` is not installed")
+CAMERAS = {"front": (16, 24)}
+MASKS = {"train": [1, 10], "valid": [2]}
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> NativeStore:
+    """Episodes 1, 2 and 10: the first reached its task, the second did not, the third is play."""
+    rng = np.random.default_rng(0)
+    ends = {1: ("lift", "stopped"), 2: ("lift", "length"), 10: ("", "stopped")}
+    made = {n: make_episode(rng, 20 + n, CAMERAS, seed=n, task=task, ended=end) for n, (task, end) in ends.items()}
+    store = NativeStore.create(tmp_path / "play", StoreSpec.of(made[1]))
+    with store.writer() as writer:
+        for number, episode in made.items():
+            writer.append(episode, number)
+    return store
+
+
+def test_what_was_exported_comes_back_but_for_the_last_step(store: NativeStore, tmp_path: Path) -> None:
+    export_robomimic(store, tmp_path / "a.hdf5", MASKS)
+    back = import_recordings(RobomimicFile(tmp_path / "a.hdf5"), tmp_path / "back")
+    assert back.indices().tolist() == [1, 2, 10]  # the numbers they were recorded under, in numeric order
+    assert back.spec.fps == 20
+    assert [back.meta(i).ended for i in range(3)] == ["success", "length", "length"]
+    for i in range(3):
+        mine, its = store.read(i), back.read(i)
+        assert len(its) == len(mine) - 1  # the importer reads `obs`, in which the last observation is not
+        for name in ("state", "achieved", "sim_state", "time", "expert_action"):
+            np.testing.assert_array_equal(getattr(its, name), getattr(mine, name)[:-1])
+        np.testing.assert_array_equal(its.images["front"], mine.images["front"][:-1])
+    with h5py.File(tmp_path / "a.hdf5") as file:
+        demo, mine = file["data/demo_10"], store.read(2)
+        np.testing.assert_array_equal(demo["next_obs/object"][-1], mine.achieved[-1])  # here it is
+        np.testing.assert_array_equal(demo["next_obs/front_image"], mine.images["front"][1:])
+        assert (demo.attrs["num_samples"], demo["dones"][()].tolist()) == (30, [0] * 29 + [1])
+        told = json.loads(file["data"].attrs["env_args"])["playlearn"]
+    assert told["environment"] == {"type": "synthetic", "objects": 3}
+    assert told["names"]["action"] == ["dx", "dy", "dz", "gripper"]
+
+
+def test_masks_are_what_training_holds_out(store: NativeStore, tmp_path: Path) -> None:
+    export_robomimic(store, tmp_path / "a.hdf5", MASKS)
+    back = import_recordings(RobomimicFile(tmp_path / "a.hdf5"), tmp_path / "back")
+    assert [back.meta(i).split for i in range(3)] == ["train", "heldout", "train"]
+    data = DataConfig(goals=UniformConfig())
+    shown = {split: PlayDataset(back, data, split).episodes.tolist() for split in ("train", "heldout")}
+    assert shown == {"train": [0, 2], "heldout": [1]}
+    assert not held_out(back, 0.0).any()  # who wants nothing held out gets all
+    # Nothing would be left to one side: then numbers decide, as for any play.
+    for name, config in {"one": RobomimicConfig(mask="train"), "other": RobomimicConfig(mask="valid")}.items():
+        part = import_recordings(RobomimicFile(tmp_path / "a.hdf5", config), tmp_path / name)
+        assert {part.meta(i).split for i in range(len(part))} == {""}
+
+
+def test_the_command_masks_what_training_would_hold_out(store: NativeStore, tmp_path: Path) -> None:
+    out = tmp_path / "a.hdf5"
+    assert main(["export", "robomimic", str(store.path), str(out)]) == 0
+    heldout = store.indices()[held_out(store, DataConfig().heldout_share)].tolist()
+    assert RobomimicFile(out).splits["valid"] == heldout
+    assert main(["export", "robomimic", str(store.path), str(out)]) == 1
+    assert main(["export", "robomimic", str(store.path), str(tmp_path / "b"), "--goals"]) == 2
+    assert main(["export", "policy", str(store.path), str(tmp_path / "b"), "--video.x=1"]) == 2
+    assert not (tmp_path / "b").exists()
+
+
+def test_a_failure_leaves_nothing_behind(store: NativeStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(robomimic_export, "_write", full)
+    with pytest.raises(StoreError, match="cannot be written"):
+        export_robomimic(store, tmp_path / "out" / "a.hdf5", MASKS)
+    assert list((tmp_path / "out").iterdir()) == []
