@@ -197,6 +197,7 @@ class _Job:
             corrections=corrections,
             more=more,
             init=last,
+            learn=("*",),
             steps=config.updates,
             max_minutes=None,
             lr=config.lr,
