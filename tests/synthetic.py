@@ -1,5 +1,6 @@
 """Play without a simulator: objects that rest, are moved one at a time, and rest again."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -125,3 +126,14 @@ def _pictures(achieved: Array, size: tuple[int, int], seed: int, number: int) ->
     frames[:, 0, 0, 0] = np.arange(len(achieved)) % 256
     frames[:, 0, 0, 1:] = seed % 256, number
     return frames
+
+
+def red_then_lamp(path: Path) -> NativeStore:
+    """One episode: red moves at observation 50 and the lamp goes on at 100, each at rest 6 steps (0.3 s) later."""
+    achieved = np.zeros((201, 7), np.float32)
+    achieved[50:, 0], achieved[100:, 6] = 0.1, 1.0
+    episode = dataclasses.replace(make_episode(np.random.default_rng(0), 200), achieved=achieved)
+    store = NativeStore.create(path, StoreSpec.of(episode))
+    with store.writer() as writer:
+        writer.append(episode)
+    return store

@@ -21,7 +21,7 @@ from playlearn.relabel import (
     counter_uniforms,
 )
 from playlearn.store import NativeStore, StoreSpec
-from tests.synthetic import make_episode, make_store
+from tests.synthetic import make_episode, make_store, red_then_lamp
 
 torch.set_num_threads(1)
 CAMERAS = {"front": (8, 10), "wrist": (6, 6)}
@@ -206,12 +206,7 @@ def test_balance_draws_rare_changes_as_often_as_common_ones(tmp_path: Path) -> N
 
 def test_only_what_the_goal_speaks_of_settles_and_is_balanced(tmp_path: Path) -> None:
     """Red moves at observation 50 and the lamp goes on at 100, each at rest 6 steps (0.3 s) later."""
-    achieved = np.zeros((201, 7), np.float32)
-    achieved[50:, 0], achieved[100:, 6] = 0.1, 1.0
-    episode = dataclasses.replace(make_episode(np.random.default_rng(0), 200), achieved=achieved)
-    store = NativeStore.create(tmp_path / "play", StoreSpec.of(episode))
-    with store.writer() as writer:
-        writer.append(episode)
+    store = red_then_lamp(tmp_path / "play")
     for names, moments in ((("*",), [56, 106]), (("red.*",), [56]), (("*.x", "lamp.on"), [56, 106]), (("l*",), [106])):
         data = DataConfig(goal_names=names, heldout_share=0.0, balance=1.0).build(store, "train", 0)
         assert data.table.moments.tolist() == moments

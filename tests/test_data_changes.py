@@ -10,17 +10,12 @@ from playlearn.data import DataConfig, statistics
 from playlearn.errors import UsageError
 from playlearn.relabel import SettledConfig, SettlingConfig
 from playlearn.store import NativeStore, StoreSpec
-from tests.synthetic import make_episode
+from tests.synthetic import make_episode, red_then_lamp
 
 
 def test_a_change_is_what_the_next_settled_moment_will_differ_in(tmp_path: Path) -> None:
     """Red has moved by observation 50 and settles at 56, the lamp goes on at 100 and settles at 106."""
-    achieved = np.zeros((201, 7), np.float32)
-    achieved[50:, 0], achieved[100:, 6] = 0.1, 1.0
-    episode = dataclasses.replace(make_episode(np.random.default_rng(0), 200), achieved=achieved)
-    store = NativeStore.create(tmp_path / "play", StoreSpec.of(episode))
-    with store.writer() as writer:
-        writer.append(episode)
+    store = red_then_lamp(tmp_path / "play")
     config = DataConfig(goals=SettledConfig(ahead=3), chunk=1, labels="change", heldout_share=0.0)
     data = config.build(store, "train", 0)
     expected = np.zeros((106, 7), np.float32)

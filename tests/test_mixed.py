@@ -124,8 +124,9 @@ def test_training_goes_on_from_another_run_with_more_play(stores: list[Path], tm
     assert kept
     assert all(torch.equal(after["moved"][name], start[name]) for name in kept)
     assert Policy.load(tmp_path / "moved" / "policy").config == own
-    with pytest.raises(UsageError, match="has another head"):
-        train(replace(moved, policy=replace(own, chunk=own.chunk + 1)), tmp_path / "other")
+    for changed in ({"goal_dropout": 0.9}, {"chunk": own.chunk + 1}, {"history": 2}):
+        with pytest.raises(UsageError, match=f"has another .*{next(iter(changed))}"):
+            train(replace(moved, policy=replace(own, **changed)), tmp_path / "other")
     with pytest.raises(CheckpointError, match="no policy"):
         train(replace(moved, init=tmp_path / "nowhere"), tmp_path / "none")
 

@@ -3,7 +3,7 @@
 import fnmatch
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -111,15 +111,19 @@ class Policy(nn.Module):
         self.head.fit(self.normaliser.normalise("action", actions).unsqueeze(1))
 
     def adopt(self, other: "Policy", source: Path) -> None:
-        """Take over all of another policy, all of which must have its place here; source: its run.
+        """Take over all of another policy, which may differ in its encoder alone; source: its run.
 
         Raises:
-            UsageError: something has no place.
+            UsageError: it differs in more, or something of its encoder has no place here.
         """
         own, given = self.state_dict(), other.state_dict()
-        apart = {name.split(".")[0] for name in own if not name.startswith("encoder.") and name not in given}
-        apart |= {name.split(".")[0] for name, value in given.items() if own.get(name, _NOTHING).shape != value.shape}
-        apart |= {part for part in ("trunk", "head") if getattr(self.config, part) != getattr(other.config, part)}
+        apart = {entry.name for entry in fields(PolicyConfig) if entry.name != "encoder"}
+        apart = {name for name in apart if getattr(self.config, name) != getattr(other.config, name)}
+        placed = all(own.get(name, _NOTHING).shape == value.shape for name, value in given.items())
+        if not placed or self.config.encoder.goal_names != other.config.encoder.goal_names:
+            apart.add("encoder")
+        if self.spec.predicts != other.spec.predicts:
+            apart.add("sort of labels")
         if apart:
             raise UsageError(
                 f"init: the policy of {source} has another {' and '.join(sorted(apart))}: give its own `policy` block; "
