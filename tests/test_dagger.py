@@ -48,6 +48,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "warmup": 5,
         "heldout_batches": 1,
         "ema_decay": 0.9,
+        "learn": ["encoder.*", "trunk.*", "head.*"],
         "cpu": True,
     }
     train(from_dict(TrainConfig, fields), folder / "run")
@@ -129,6 +130,7 @@ def test_rounds(run: Path, tmp_path: Path) -> None:
         assert len(row["ci95"]) == 2
     assert (out / "plot.png").read_bytes()[:4] == b"\x89PNG"
     written = load_config(TrainConfig, out / "config.yaml")
+    assert written.learn == ("*",)  # all of the policy, whichever part its run trained
     assert sum(source.share for source in written.more) == pytest.approx(0.5)
     assert [source.share for source in written.more] == pytest.approx(
         [0.5 * row["frames"] / sum(row["frames"] for row in rounds) for row in rounds]
