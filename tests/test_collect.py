@@ -57,6 +57,19 @@ def test_images_drawn_afterwards_equal_those_drawn_live(tmp_path: Path) -> None:
     assert NativeStore.open(tmp_path / "other").cameras() == {"front": (16, 16)}
 
 
+def test_a_part_of_the_play_is_drawn_and_more_of_it_later(tmp_path: Path) -> None:
+    collect(dataclasses.replace(SMALL, episodes=3), tmp_path / "blind", workers=0)
+    sizes = {"front": CameraConfig(16, 16)}
+    for episodes, drawn in ((1, [0]), (2, [0, 1]), (None, [0, 1, 2])):
+        try:
+            render_store(tmp_path / "blind", tmp_path / "drawn", sizes, workers=0, episodes=episodes)
+        except RenderError as error:
+            pytest.skip(str(error))
+        assert NativeStore.open(tmp_path / "drawn").indices().tolist() == drawn
+    with pytest.raises(UsageError, match="1 to 3"):
+        render_store(tmp_path / "blind", tmp_path / "drawn", sizes, workers=0, episodes=4)
+
+
 def test_what_is_there_is_not_overwritten(tmp_path: Path) -> None:
     config = dataclasses.replace(SMALL, episodes=1)
     collect(config, tmp_path / "play", workers=0)

@@ -60,7 +60,7 @@ def render(arguments: argparse.Namespace) -> int:
     from playlearn.sim.environment import CameraConfig
 
     cameras = {name: CameraConfig(height=height, width=width) for name, height, width in arguments.camera}
-    render_store(arguments.store, arguments.out, cameras, workers=arguments.workers)
+    render_store(arguments.store, arguments.out, cameras, workers=arguments.workers, episodes=arguments.episodes)
     return DONE
 
 

@@ -63,6 +63,7 @@ def _parser() -> argparse.ArgumentParser:
     made.add_argument(
         "--camera", type=_camera, action="append", required=True, metavar="NAME=HxW", help="`front=64x64`; repeatable"
     )
+    made.add_argument("--episodes", type=_count, metavar="N", help="the first N only (default: all)")
     _workers(made)
 
     made = verb(commands.view, "view", "open an episode or an evaluation in rerun, or write it to a file")

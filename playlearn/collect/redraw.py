@@ -16,14 +16,20 @@ from playlearn.sim import CameraConfig, EnvironmentConfig
 from playlearn.store import NativeStore, write_episode
 
 
-def render_store(source: Path, out: Path, cameras: Mapping[str, CameraConfig], workers: int | None = None) -> None:
+def render_store(
+    source: Path,
+    out: Path,
+    cameras: Mapping[str, CameraConfig],
+    workers: int | None = None,
+    episodes: int | None = None,
+) -> None:
     """A store like `source` with images of these cameras and sizes, drawn from its simulator states.
 
-    Goes on where an interrupted call stopped.
+    Goes on where an interrupted call stopped. episodes: the first so many only; a later call may ask for more.
 
     Raises:
         StoreError: `source` is missing, or `out` holds something else.
-        UsageError: the environment has no such camera.
+        UsageError: the environment has no such camera, or the store not so many episodes.
     """
     store = NativeStore.open(source)
     config = from_dict(EnvironmentConfig, store.spec.environment)
@@ -31,6 +37,9 @@ def render_store(source: Path, out: Path, cameras: Mapping[str, CameraConfig], w
     unknown = sorted(set(cameras) - set(known))
     if unknown:
         raise UsageError(f"camera {unknown[0]!r} is not one of {', '.join(known)}")
+    if episodes is not None and not 0 < episodes <= len(store):
+        raise UsageError(f"episodes must be 1 to {len(store)}, as many as {source} has, got {episodes}")
+    indices = store.indices()[:episodes]
     sizes = {name: (size.height, size.width) for name, size in cameras.items()}
     spec = dataclasses.replace(store.spec, cameras=sizes)
     made = NativeStore.open(out) if (out / "store.json").exists() else NativeStore.create(out, spec)
@@ -43,14 +52,14 @@ def render_store(source: Path, out: Path, cameras: Mapping[str, CameraConfig], w
                 function=redraw,
                 kwargs={"source": str(source), "out": str(out), "index": int(index), "sizes": sizes},
             )
-            for index in store.indices()
+            for index in indices
             if int(index) not in done
         ]
         with (
             LocalExecutorConfig(workers=workers).build() as executor,
-            Progress(f"render {out}", len(store), "episode", begun=len(done)) as progress,
+            Progress(f"render {out}", len(indices), "episode", begun=len(indices) - len(jobs)) as progress,
         ):
-            for count, _ in enumerate(executor.run(jobs), len(done) + 1):
+            for count, _ in enumerate(executor.run(jobs), len(indices) - len(jobs) + 1):
                 progress.to(count)
 
 
