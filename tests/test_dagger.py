@@ -112,6 +112,14 @@ def test_an_expert_that_does_not_finish_is_counted_and_leaves_nothing(run: Path,
         go(described(run, policy_steps=[1, 1], finish_steps=3), run, tmp_path / "out")
 
 
+def test_further_play_that_the_run_learned_from_is_kept_in_its_shares(run: Path, tmp_path: Path) -> None:
+    go(described(run, rounds=1), run, tmp_path / "first")
+    go(described(run, rounds=1, share=0.2), tmp_path / "first", tmp_path / "second")
+    before, gathered = load_config(TrainConfig, tmp_path / "second/config.yaml").more
+    assert (before.store, before.share) == (tmp_path / "first/rounds/1/play", pytest.approx(0.8 * 0.5))
+    assert (gathered.store, gathered.share) == (tmp_path / "second/rounds/1/play", pytest.approx(0.2))
+
+
 def test_rounds(run: Path, tmp_path: Path) -> None:
     """Every round's row adds up, and OUT is a run like any other."""
     out = tmp_path / "out"

@@ -29,7 +29,7 @@ class DaggerConfig:
         over besides.
     goals: which moment of a practised episode becomes its goal. The labels answer to the goal that was commanded, and
         that is where an episode ends, so it must be one of its end. stray: see DataConfig; of practised episodes.
-    share: of every batch, what all rounds gathered; the rest is the play that the run began with.
+    share: of every batch, what all rounds gathered; the rest is the play that the run learned from, in its shares.
     updates, lr, warmup: of each round's training, which goes on from the last round's weights.
     control: `play` or `noise` instead of practice as many steps of the collector's play, plain or with `noise` on what
         is executed, in each round as many as the DAgger run `like` gathered in it. collect: the config of that play

@@ -184,6 +184,7 @@ class _Job:
         """The training of a round: the run's own, from the last policy on. gathered: round -> steps of its store."""
         config, own = self.config, self.training.resolved()
         total = sum(gathered.values())
+        kept = tuple(replace(source, share=(1 - config.share) * source.share) for source in own.more)
         more = tuple(
             Source(self.out / "rounds" / str(past) / "play", config.share * steps / total, self.cut(own.data))
             for past, steps in gathered.items()
@@ -195,7 +196,7 @@ class _Job:
             own,
             policy=Policy.load(self.run / "policy").config,
             corrections=corrections,
-            more=more,
+            more=kept + more,
             init=last,
             learn=("*",),
             steps=config.updates,
