@@ -1,5 +1,5 @@
 #!/bin/sh
-# Play, train, evaluate: the whole line on this machine's cores. A stage that is done is not done again.
+# Play, train a policy, give it eyes, evaluate: the whole line on this machine's cores. A stage that is done is not done again.
 set -eu
 cd "$(dirname "$0")/.."
 demo=${1:-runs/demo}
@@ -26,13 +26,16 @@ evaluate() {
 }
 
 train() {
+	run=$1
+	shift
 	resume=
-	[ -f "$demo/run/config.yaml" ] && resume=--resume
-	playlearn train --config configs/train/demo.yaml --store "$demo/play" --out "$demo/run" $resume
+	[ -f "$run/config.yaml" ] && resume=--resume
+	playlearn train --store "$demo/play" --out "$run" "$@" $resume
 }
 
 times=
 stage "collect play" playlearn collect --config configs/collect/demo.yaml --out "$demo/play" --resume
-stage "train on it" train
+stage "learn what to do" train "$demo/state" --config configs/train/demo_state.yaml
+stage "learn to see" train "$demo/run" --config configs/train/demo.yaml --init "$demo/state"
 stage "reach goal images" evaluate
 printf '\n%s\nThe report: %s\n' "$times" "$demo/eval/report.html"
