@@ -327,7 +327,7 @@ def test_a_policy_of_another_robot_is_refused(tmp_path: Path) -> None:
         Trained(tmp_path / "run", "state").build(PointWorld(PointConfig()))
 
 
-def test_subgoals_lead_a_policy(tmp_path: Path, run: Path) -> None:
+def test_subgoals_lead_a_policy(tmp_path: Path, run: Path, image_run: Path) -> None:
     """A proposer of no change has the policy shown the goal itself, time and again; the results name both."""
     proposes = replace(spec(), action_names=spec().achieved_names, predicts="change")
     proposer = PolicyConfig(chunk=1).build(proposes, None, seed=0)
@@ -348,6 +348,9 @@ def test_subgoals_lead_a_policy(tmp_path: Path, run: Path) -> None:
         evaluate(suite, run=tmp_path / "proposer", out=tmp_path / "no", **arguments)
     with pytest.raises(UsageError, match="acts, it proposes no subgoals"):
         evaluate(suite, run=run, out=tmp_path / "no", overrides=[f"--subgoals={run}"], **arguments)
+    for goal in ("image", "state"):  # whichever is asked for, the message must not send one to the other
+        with pytest.raises(UsageError, match="reads its goal from an image, and subgoals are states"):
+            evaluate(suite, run=image_run, out=tmp_path / "no", overrides=given, **{**arguments, "goal": goal})
 
 
 @pytest.mark.parametrize("name", ["playtable_tasks", "playtable_heldout"])

@@ -157,7 +157,12 @@ class Stepwise:
     name: str = "policy"
 
     def check(self) -> None:
-        """See `Trained.check`."""
+        """See `Trained.check`; subgoals are states, so the worker must read those."""
+        if self.worker.run.is_dir() and "state" not in load_policy(self.worker.run / "policy").config.encoder.goals:
+            raise UsageError(
+                f"{self.worker.run} reads its goal from an image, and subgoals are states: leave --subgoals out, "
+                "or name a --run that reads states"
+            )
         self.worker.check()
         self.proposer.check()
 
