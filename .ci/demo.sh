@@ -35,7 +35,7 @@ train() {
 
 times=
 stage "collect play" playlearn collect --config configs/collect/demo.yaml --out "$demo/play" --resume
-stage "learn what to do" train "$demo/state" --config configs/train/demo_state.yaml
-stage "learn to see" train "$demo/run" --config configs/train/demo.yaml --init "$demo/state"
+stage "learn what to do" train "$demo/state" --config configs/train/playtable_state_diffusion.yaml --max_minutes 3
+stage "learn to see" train "$demo/run" --config configs/train/playtable_image.yaml --init "$demo/state" --max_minutes 9
 stage "reach goal images" evaluate
 printf '\n%s\nThe report: %s\n' "$times" "$demo/eval/report.html"
