@@ -4,6 +4,7 @@ import fnmatch
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -150,6 +151,9 @@ class Policy(nn.Module):
     def forward(self, batch: Labelled, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
         """Scalar training loss and its parts; all randomness (dropout, augmentation, noise) from `generator`."""
         config, normal = self.config, self._normalised(batch)
+        if not self.acting_learns:
+            # no gradient of the head's loss would reach anything: only what is learned beside it is computed
+            return _summed(self.encoder.auxiliary(self.encoder.perceive(normal, generator), normal))
         keep = self._kept(config.goal_dropout, batch, generator)
         # at 0 nothing is drawn, so that what is drawn next does not depend on an option that is not used
         if config.history_dropout > 0:
@@ -160,6 +164,12 @@ class Policy(nn.Module):
             felt = self._kept(config.proprio_dropout, batch, generator)
             normal = replace(normal, state=normal.state * felt[:, None, None])
         return self._loss(batch, normal, keep, generator, augment=generator)
+
+    @property
+    def acting_learns(self) -> bool:
+        """Whether some parameter that the head's loss teaches is trained; the image encoder alone may be."""
+        taught = chain(self.encoder.token_parameters(), self.trunk.parameters(), self.head.parameters())
+        return any(parameter.requires_grad for parameter in taught)
 
     def loss(self, batch: Labelled, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
         """The same with nothing withheld and no augmentation: what held-out play is judged by."""
@@ -259,8 +269,8 @@ class Policy(nn.Module):
         features, extra = self._features(normal, keep, augment)
         chunk = self.normaliser.normalise("action", batch.action)
         loss, metrics = self.head.loss(features, chunk, batch.action_mask, generator)
-        metrics = {"head": loss, **metrics, **extra}
-        return sum(extra.values(), loss), {name: value.detach() for name, value in metrics.items()}
+        total, parts = _summed({"head": loss, **extra})
+        return total, {**parts, **{name: value.detach() for name, value in metrics.items()}}
 
     def _features(
         self, inputs: Inputs, keep: Tensor, augment: torch.Generator | None
@@ -290,6 +300,11 @@ class Policy(nn.Module):
                 if camera in inputs.goal_images
             },
         )
+
+
+def _summed(losses: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
+    """Their sum, and each by its name."""
+    return sum(losses.values(), torch.zeros(())), {name: value.detach() for name, value in losses.items()}
 
 
 def spec_from_dict(written: Mapping[str, Any]) -> PolicySpec:

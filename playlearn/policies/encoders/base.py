@@ -1,5 +1,6 @@
 """What every encoder offers: observation history and goal in, tokens out."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -72,6 +73,14 @@ class Encoder(nn.Module):
         generator: draws the augmentation; None for none (evaluation).
         """
         raise NotImplementedError
+
+    def token_parameters(self) -> Iterable[nn.Parameter]:
+        """The parameters that a loss of the tokens teaches; the others learn from `auxiliary` alone."""
+        return self.parameters()
+
+    def perceive(self, inputs: Observed, generator: torch.Generator | None = None) -> Tokens:
+        """What `auxiliary` needs of `forward`, and no more; its tokens may be empty."""
+        return self(inputs, torch.ones(len(inputs.state), dtype=torch.bool, device=inputs.state.device), generator)
 
     def auxiliary(self, tokens: Tokens, inputs: Observed) -> dict[str, Tensor]:
         """Weighted losses of what is learned on the side, by name; used in training only."""

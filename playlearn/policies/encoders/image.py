@@ -1,7 +1,8 @@
 """What encoders of one vector a camera share: fusion of observation and goal, privileged supervision."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -100,34 +101,37 @@ class ImageEncoder(Encoder):
                 self.told = StatedGoal(spec, config.goal_names, config.hidden, width)
 
     def forward(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
-        config, (batch, steps) = self.config, inputs.state.shape[:2]
+        config = self.config
         pictured = config.pictured(inputs, generator)  # (B,)
-        seen, goal_seen = self._see(inputs, keep & pictured, generator)  # (B, T, F), (B, F)
-        features = {config.goal_camera: seen}
-        for camera, backbone in self.others.items():
-            frames = random_shift(inputs.images[camera], config.shift, generator)
-            features[camera] = backbone(pixels(frames.flatten(0, 1))).unflatten(0, (batch, steps))
-        step_tokens = [project(features[camera]).unsqueeze(2) for camera, project in self.project.items()]
+        seen = self._see(inputs, keep & pictured, generator)
+        step_tokens = [project(seen.cameras[camera]).unsqueeze(2) for camera, project in self.project.items()]
 
         sort = keep.long() if len(config.goals) == 1 else keep * (2 - pictured.long())
         goal_token = self.goal_flag[sort]  # (B, D)
-        if self.project_goal is not None and goal_seen is not None:
-            goal_token = goal_token + torch.where((keep & pictured)[:, None], self.project_goal(goal_seen), 0.0)
+        if self.project_goal is not None and seen.goal is not None:
+            goal_token = goal_token + torch.where((keep & pictured)[:, None], self.project_goal(seen.goal), 0.0)
         if self.told is not None:
             goal_token = goal_token + torch.where((keep & ~pictured)[:, None], self.told(inputs.goal_achieved), 0.0)
 
-        observed = goal = None
-        if self.estimate is not None:
-            observed = self.estimate(features, inputs.state)
-            goal = inputs.goal_achieved
-            if goal_seen is not None:
-                goal = torch.where(pictured[:, None], self.estimate.wanted(goal_seen), goal)
+        observed, goal = self._estimated(inputs, seen, pictured)
         if self.objects is not None and observed is not None and goal is not None:
             now, then = (observed.detach(), goal.detach()) if config.detach_estimate else (observed, goal)
             step_tokens.append(self.objects(inputs.state, now, then, keep))
         elif self.proprio is not None:
             step_tokens.append(self.proprio(inputs.state).unsqueeze(2))
         return Tokens(goal_token.unsqueeze(1), torch.cat(step_tokens, 2), observed, goal)
+
+    def token_parameters(self) -> Iterable[nn.Parameter]:
+        if not (self.config.feed_estimate and self.config.detach_estimate) or self.project or self.project_goal:
+            return self.parameters()
+        reads_images = ("front.", "others.", "estimate.")
+        return [parameter for name, parameter in self.named_parameters() if not name.startswith(reads_images)]
+
+    def perceive(self, inputs: Observed, generator: torch.Generator | None = None) -> Tokens:
+        pictured = self.config.pictured(inputs, generator)
+        observed, goal = self._estimated(inputs, self._see(inputs, pictured, generator), pictured)
+        none = inputs.state.new_empty(len(pictured), 0, 0)
+        return Tokens(none, none.unsqueeze(1), observed, goal)
 
     def auxiliary(self, tokens: Tokens, inputs: Observed) -> dict[str, Tensor]:
         if tokens.observed is None or tokens.wanted is None:
@@ -137,11 +141,30 @@ class ImageEncoder(Encoder):
         loss = loss + nn.functional.smooth_l1_loss(tokens.wanted, inputs.goal_achieved, beta=0.1)
         return {"achieved": self.config.auxiliary.achieved * loss}
 
-    def _see(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None) -> tuple[Tensor, Tensor | None]:
-        """Features (B, T, F) of the observation, (B, F) of the goal image if any; fused, the last step's tell both.
+    def _estimated(self, inputs: Observed, seen: "_Seen", pictured: Tensor) -> tuple[Tensor | None, Tensor | None]:
+        """(B, T, G) and (B, G), normalized: where things are, and where they are in the goal; None where not taught."""
+        if self.estimate is None:
+            return None, None
+        observed = self.estimate(seen.cameras, inputs.state)
+        goal = inputs.goal_achieved
+        if seen.goal is not None:
+            goal = torch.where(pictured[:, None], self.estimate.wanted(seen.goal), goal)
+        return observed, goal
 
-        keep: (B,) bool, whose goal image may be seen.
-        """
+    def _see(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None) -> "_Seen":
+        """keep: (B,) bool, whose goal image may be seen."""
+        config, (batch, steps) = self.config, inputs.state.shape[:2]
+        front, goal = self._see_front(inputs, keep, generator)
+        cameras = {config.goal_camera: front}
+        for camera, backbone in self.others.items():
+            frames = random_shift(inputs.images[camera], config.shift, generator)
+            cameras[camera] = backbone(pixels(frames.flatten(0, 1))).unflatten(0, (batch, steps))
+        return _Seen(cameras, goal)
+
+    def _see_front(
+        self, inputs: Observed, keep: Tensor, generator: torch.Generator | None
+    ) -> tuple[Tensor, Tensor | None]:
+        """Features (B, T, F) of the observation, (B, F) of the goal image if any; fused, the last step's tell both."""
         config, (batch, steps) = self.config, inputs.state.shape[:2]
         shown = inputs.images[config.goal_camera]  # (B, T, h, w, 3)
         if config.goal_camera not in inputs.goal_images and not self.fused:
@@ -159,6 +182,13 @@ class ImageEncoder(Encoder):
             return seen, seen[:, -1]
         seen = self.front(pixels(torch.cat([shown, wanted], dim=1).flatten(0, 1))).unflatten(0, (batch, steps + 1))
         return seen[:, :-1], seen[:, -1]
+
+
+class _Seen(NamedTuple):
+    """Features: camera -> (B, T, F) of the observation, (B, F) of the goal image, if there is one."""
+
+    cameras: dict[str, Tensor]
+    goal: Tensor | None
 
 
 class _Estimate(nn.Module):
