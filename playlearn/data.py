@@ -44,6 +44,8 @@ class Batch:
     action_mask (B, H) bool: False past the end, past a mistake, and past the goal where the dataset was told so.
     steps_to_goal (B,) int64: how many actions lie between t and the goal; 0 where none leads there (a goal of
         another episode, or of the past).
+    keypoints camera -> (B, T, O, 2), goal_keypoints camera -> (B, O, 2) float32: where a camera sees each object, of
+        scenes that a simulator drew (see `policies.Inputs`); NaN where nobody knows, no camera where none is known.
     """
 
     state: torch.Tensor
@@ -56,6 +58,8 @@ class Batch:
     action: torch.Tensor
     action_mask: torch.Tensor
     steps_to_goal: torch.Tensor
+    keypoints: Mapping[str, torch.Tensor] = field(default_factory=dict)
+    goal_keypoints: Mapping[str, torch.Tensor] = field(default_factory=dict)
 
     def __len__(self) -> int:
         """B."""

@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -32,19 +32,31 @@ class Source:
             raise UsageError(f"share must lie between 0 and 1, both left out, got {self.share:g}")
 
 
-def mix(own: PlayDataset, sources: Sequence[Source], seed: int) -> "PlayDataset | Mixed":
+def mix(
+    own: PlayDataset, sources: Sequence[Source], seed: int, parts: Sequence[tuple["Part", float]] = ()
+) -> "PlayDataset | Mixed":
     """What a run is shown: its own play alone, or with the training part of further stores.
+
+    parts: further examples, with their shares.
 
     Raises:
         UsageError: the shares leave nothing to the run's own play; a store's numbers or pictures mean something else.
         StoreError: a store is missing, or holds nothing to learn from.
     """
-    more = []
+    more = list(parts)
     for number, source in enumerate(sources, 1):
         store = open_store(source.store)
         _check_same(own, store)
         more.append(((source.data or own.config).build(store, "train", seed + number), source.share))
     return Mixed(own, more) if more else own
+
+
+class Part(Protocol):
+    """Examples that can be dealt out."""
+
+    def at(self, places: Indices, orders: dict[int, Indices]) -> Batch:
+        """See `PlayDataset.at`."""
+        ...
 
 
 class Mixed:
@@ -54,7 +66,7 @@ class Mixed:
     to within one or two, and walks through its own epochs at its own pace.
     """
 
-    def __init__(self, own: PlayDataset, more: Sequence[tuple[PlayDataset, float]]) -> None:
+    def __init__(self, own: Part, more: Sequence[tuple[Part, float]]) -> None:
         """own: gets what the shares of the others leave.
 
         Raises:
@@ -92,9 +104,18 @@ def joined(batches: Sequence[Batch]) -> Batch:
     """One batch of all examples."""
 
     def join(values: list[Any]) -> Any:
-        if isinstance(values[0], Mapping):
-            return {camera: torch.cat([value[camera] for value in values]) for camera in values[0]}
-        return torch.cat(values)
+        if not isinstance(values[0], Mapping):
+            return torch.cat(values)
+        cameras = dict.fromkeys(camera for value in values for camera in value)
+        return {camera: torch.cat(filled([value.get(camera) for value in values])) for camera in cameras}
+
+    def filled(parts: list[torch.Tensor | None]) -> list[torch.Tensor]:
+        """Keypoints that a part does not know are NaN."""
+        known = next(part for part in parts if part is not None)
+        return [
+            known.new_full((len(batch), *known.shape[1:]), torch.nan) if part is None else part
+            for batch, part in zip(batches, parts, strict=True)
+        ]
 
     names = [entry.name for entry in dataclasses.fields(Batch)]
     return Batch(**{name: join([getattr(batch, name) for batch in batches]) for name in names})

@@ -14,18 +14,20 @@ from typing import Any, Literal, cast
 import numpy as np
 import torch
 from accelerate import Accelerator
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from playlearn.config import atomic_write, git_revision, load_config, save_config, to_dict, versions
 from playlearn.corrections import Corrections, CorrectionsConfig, make_corrections
-from playlearn.data import Batch, DataConfig, PlayDataset, statistics
+from playlearn.data import Batch, DataConfig, PlayDataset, held_out, statistics
 from playlearn.errors import UsageError
 from playlearn.executor import interruption_deferred
-from playlearn.mixed import Source, mix
+from playlearn.mixed import Mixed, Source, mix
 from playlearn.policies import Policy, PolicyConfig, PolicySpec
 from playlearn.policies.checkpoint import load_checkpoint, save_checkpoint
 from playlearn.policies.ema import averaged
 from playlearn.report.progress import Progress
+from playlearn.scenes import Scenes, ScenesConfig, draw_scenes, scene_sizes
 from playlearn.store import Store, StoreConfig, open_store
 
 # What may differ between a run and its resumption: how long it goes on, and what it says meanwhile.
@@ -40,6 +42,8 @@ class TrainConfig:
     are cut from it; its history, chunk, cameras and goal_names are the policy's.
     corrections: moments with the hand put aside and the way back as label, made before the first update and shown
     among the recorded ones (see CorrectionsConfig); null for none.
+    scenes: images that the simulator draws of the store's recorded states and of others, with the true state, for an
+    image encoder to learn from (see ScenesConfig); null for none.
     more: further play beside it, each store with its share of every batch. init: a run from whose policy training goes
     on, its weights, normaliser and all; null for a fresh one. A policy of states gives all but the eyes to one that
     reads its numbers off images (`feed_estimate`), the rest of the policy being the same.
@@ -57,6 +61,7 @@ class TrainConfig:
     data: DataConfig = field(default_factory=DataConfig)
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     corrections: CorrectionsConfig | None = None
+    scenes: ScenesConfig | None = None
     more: tuple[Source, ...] = ()
     init: Path | None = None
     learn: tuple[str, ...] = ("*",)
@@ -86,17 +91,26 @@ class TrainConfig:
             raise UsageError(f"max_minutes must be above 0 or null, got {self.max_minutes}")
         if self.corrections is not None and self.data.labels == "change":
             raise UsageError("corrections teach actions: leave them out where data.labels is change")
+        if self.scenes is not None:
+            if self.policy.history > 1:
+                raise UsageError("scenes are single moments: leave policy.history at 1")
+            rest = 1 - self.scenes.fraction - sum(source.share for source in self.more)
+            if rest <= 0 and not (self.scenes.fraction == 1 and not self.more):
+                raise UsageError(
+                    "scenes.fraction and the shares of `more` leave nothing to the play: let them add up to less"
+                )
         if not 0 <= self.ema_decay < 1:
             raise UsageError(f"ema_decay must be in [0, 1), got {self.ema_decay}")
 
     def resolved(self) -> "TrainConfig":
         """With the fields of `data` that the policy decides."""
         encoder = self.policy.encoder
+        of_play = self.scenes is None or self.scenes.fraction < 1  # else nothing of the play itself is looked at
         decided: dict[str, Any] = {
             "history": self.policy.history,
             "chunk": self.policy.chunk,
-            "cameras": encoder.observation_cameras,
-            "goal_cameras": encoder.goal_cameras,
+            "cameras": encoder.observation_cameras if of_play else (),
+            "goal_cameras": encoder.goal_cameras if of_play else (),
             "goal_names": encoder.goal_names,
         }
         more = [dataclasses.replace(m, data=dataclasses.replace(m.data or self.data, **decided)) for m in self.more]
@@ -124,6 +138,7 @@ def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
     elif run.accelerator.is_main_process:
         run.describe()
     run.correct()
+    run.draw()
     with interruption_deferred() as interrupted, Progress("train", 100.0, "%", 100 * run.progress()) as progress:
         run.loop(interrupted, progress)
 
@@ -148,16 +163,16 @@ class _Run:
             achieved_names=store.spec.achieved_names,
             action_names=store.spec.achieved_names if changes else store.spec.action_names,
             fps=store.spec.fps,
-            cameras={camera: (int(h), int(w)) for camera, (h, w) in store.cameras().items()},
+            cameras={camera: (int(h), int(w)) for camera, (h, w) in self._cameras().items()},
             controller=store.meta(0).controller,
             predicts=config.data.labels,
             bounded=bool(np.abs(self.data.action).max() <= 1),
         )
-        self.examples = mix(self.data, config.more, config.seed)
+        self.examples: PlayDataset | Mixed | Scenes = mix(self.data, config.more, config.seed)
         policy = self._begun()
         policy.to(self.accelerator.device)
-        self.ema = averaged(policy, config.ema_decay)
         learned = policy.learning(config.learn)
+        self.ema = averaged(policy, config.ema_decay)
         matrices = [parameter for parameter in learned if parameter.ndim > 1]
         vectors = [parameter for parameter in learned if parameter.ndim <= 1]
         decays: list[dict[str, Any]] = [{"params": matrices}, {"params": vectors, "weight_decay": 0.0}]
@@ -182,6 +197,39 @@ class _Run:
         policy = config.policy.build(self.spec, None, config.seed)
         policy.adopt(begun, config.init)
         return policy
+
+    def _cameras(self) -> Mapping[str, tuple[int, int]]:
+        """Camera -> (height, width) of the images to learn from."""
+        encoder, cameras = self.config.policy.encoder, self.store.cameras()
+        if self.config.scenes is None:
+            return cameras
+        return {**cameras, **scene_sizes(self.store, (*encoder.observation_cameras, *encoder.goal_cameras))}
+
+    def draw(self) -> None:
+        """Draw what scenes are asked for, and show them."""
+        scenes, encoder = self.config.scenes, self.config.policy.encoder
+        if scenes is None:
+            return
+        folder, out = scenes.folder or self.out / "scenes", held_out(self.store, self.config.data.heldout_share)
+        cameras, goal_cameras = encoder.observation_cameras, encoder.goal_cameras
+        if self.accelerator.is_main_process:
+            draw_scenes(scenes, self.store, out, cameras, goal_cameras, folder)
+        self.accelerator.wait_for_everyone()
+        numbers, seed = self.store.indices(), self.config.seed
+
+        def drawn_of(episodes: NDArray[np.int64]) -> Scenes:
+            shape = self.config.policy.chunk, len(self.spec.action_names)
+            return Scenes(folder, episodes, cameras=cameras, goal_cameras=goal_cameras, labels=shape, seed=seed)
+
+        drawn = drawn_of(numbers[~out])
+        if scenes.fraction < 1:
+            self.examples = mix(self.data, self.config.more, seed, [(drawn, scenes.fraction)])
+            return
+        self.examples = drawn
+        if out.any():
+            held = drawn_of(numbers[out])
+            order = held.epoch_indices(0)[: self.config.heldout_batches * self.config.batch_size]
+            self.heldout = [held.batch(0, part) for part in _parts(order, self.config.batch_size)]
 
     def correct(self) -> None:
         """Make what corrections are asked for, and show them."""
@@ -245,8 +293,10 @@ class _Run:
         for number, batch in enumerate(self.heldout):
             generator = _generator(self.config.seed, number, -1)
             loss, metrics = policy.loss(batch.to(self.accelerator.device), generator)
-            error = (policy.act(batch, generator) - batch.action).abs().mean(dim=-1)[batch.action_mask].mean()
-            window.add({"loss": loss, **metrics, "action_error": error})
+            if policy.acting_learns:
+                error = (policy.act(batch, generator) - batch.action).abs().mean(dim=-1)[batch.action_mask].mean()
+                metrics = {**metrics, "action_error": error}
+            window.add({"loss": loss, **metrics})
         return window.means()
 
     def progress(self) -> float:
@@ -372,8 +422,12 @@ def _heldout(config: TrainConfig, store: Store) -> list[Batch]:
         return []
     dataset: PlayDataset = config.data.build(store, "heldout", config.seed)
     order = dataset.epoch_indices(0)[: config.heldout_batches * config.batch_size]
-    parts = np.array_split(order, max(1, math.ceil(len(order) / config.batch_size)))
-    return [dataset.batch(0, part) for part in parts]
+    return [dataset.batch(0, part) for part in _parts(order, config.batch_size)]
+
+
+def _parts(order: NDArray[np.int64], size: int) -> list[NDArray[np.int64]]:
+    """As few parts, as equal, as hold at most `size` each."""
+    return np.array_split(order, max(1, math.ceil(len(order) / size)))
 
 
 def _cosine(share: float) -> float:

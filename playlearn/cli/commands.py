@@ -92,6 +92,7 @@ def evaluate(arguments: argparse.Namespace) -> int:
     results = run(
         arguments.suite,
         run=arguments.run,
+        encoder=arguments.encoder,
         policy=arguments.policy,
         goal=arguments.goal,
         out=arguments.out,

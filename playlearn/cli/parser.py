@@ -86,6 +86,9 @@ def _parser() -> argparse.ArgumentParser:
     who.add_argument("--run", type=Path, metavar="RUN", help="the folder of a training run")
     who.add_argument("--policy", choices=("expert", "random"), help="a reference instead of a trained policy")
     _judged(made, "results.json and report.html")
+    made.add_argument(
+        "--encoder", type=Path, metavar="RUN", help="let a state policy look through this run's image encoder"
+    )
     made.add_argument("--alone", action="store_true", help="without the expert and chance beside it")
 
     words = "let a policy practise under an expert's eyes, and train it further, in rounds"

@@ -22,6 +22,8 @@ class DaggerConfig:
     suite: what each round is judged on (null: `practice`, under its own seed); judged: episodes of it; judged_seed:
         instead of the suite's own. goal: how goals are shown. execute, guidance: how the policy acts, in practice and
         judged (null: as its suite says).
+    encoder: a run whose image encoder a state policy looks through, in practice and judged; its training goes on from
+        true states.
     policy_steps: range in which it is drawn, for each episode, for how many steps the policy acts before the expert
         brings the episode to its goal, for which it has finish_steps. settle: for how many steps everything must be
         where the goal shows it for an episode to end; one that does not get there is counted and thrown away.
@@ -39,6 +41,7 @@ class DaggerConfig:
     practice: Path = Path("eval/suites/playtable_tasks.yaml")
     suite: Path | None = None
     goal: Literal["image", "state"] = "state"
+    encoder: Path | None = None
     rounds: int = 5
     episodes: int = 102
     policy_steps: tuple[int, int] = (40, 160)

@@ -166,7 +166,14 @@ class _Job:
         config = self.config
         sharing = Sharing(config.beta.at(number), config.stretch, config.gate, config.policy_steps)
         return Practice(
-            self.suite, self.trained(last), self.expert, sharing, self.seed, config.finish_steps, config.settle
+            self.suite,
+            self.trained(last),
+            self.expert,
+            sharing,
+            self.seed,
+            config.finish_steps,
+            config.settle,
+            record=config.encoder is None,
         )
 
     def playing(self) -> CollectConfig:
@@ -178,7 +185,7 @@ class _Job:
         config, suite = self.config, self.suite
         execute = suite.execute if config.execute is None else config.execute
         guidance = suite.guidance if config.guidance is None else config.guidance
-        return Trained(run, config.goal, execute, guidance)
+        return Trained(run, config.goal, execute, guidance, encoder=config.encoder)
 
     def trained_on(self, number: int, gathered: Mapping[int, int], last: Path) -> TrainConfig:
         """The training of a round: the run's own, from the last policy on. gathered: round -> steps of its store."""
@@ -230,6 +237,7 @@ class _Job:
         return evaluate(
             config.suite or config.practice,
             run=run,
+            encoder=config.encoder,
             goal=config.goal,
             out=out,
             episodes=config.judged,

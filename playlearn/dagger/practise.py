@@ -22,7 +22,10 @@ Make = Callable[[Environment], Actor]
 
 @dataclass(frozen=True)
 class Practice:
-    """What a worker needs to know. seed: of starts and goals. sharing: without `plans`, which the policy decides."""
+    """What a worker needs to know. seed: of starts and goals. sharing: without `plans`, which the policy decides.
+
+    record: whether what the policy sees is kept.
+    """
 
     suite: SuiteConfig
     policy: Trained
@@ -31,6 +34,12 @@ class Practice:
     seed: int
     finish_steps: int
     settle: int
+    record: bool = True
+
+    @property
+    def recorded(self) -> tuple[str, ...]:
+        """The cameras whose images are kept."""
+        return self.policy.cameras() if self.record else ()
 
 
 @dataclass(frozen=True)
@@ -55,7 +64,7 @@ def practise(practice: Practice, numbers: Sequence[int], out: Path, workers: int
         UsageError: the suite is not one of a world that this policy and this expert know.
     """
     store, notes = out / "play", out / "practice"
-    make_store(practice.suite, practice.policy.cameras(), store)
+    make_store(practice.suite, practice.recorded, store)
     notes.mkdir(parents=True, exist_ok=True)
     size = practice.suite.cohort
     cohorts = [tuple(numbers[i : i + size]) for i in range(0, len(numbers), size)]
@@ -99,7 +108,7 @@ def attempt(practice: Practice, numbers: Sequence[int], store: Path, note: Path)
         seeds=[setup.seed for setup in setups],
         max_steps=practice.sharing.steps[1] + practice.finish_steps,
         stop=settled,
-        cameras=practice.policy.cameras(),
+        cameras=practice.recorded,
     )
     for setup, outcome in zip(setups, outcomes, strict=True):
         tried.append(_tried(setup, outcome))

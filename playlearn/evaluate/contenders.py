@@ -84,6 +84,7 @@ class Random:
 class Trained:
     """A policy that `playlearn train` left in `run`, shown its goal as `goal` ("image" or "state").
 
+    encoder: a run whose image encoder a state policy looks through.
     execute: actions of a chunk carried out before it plans again (null: half of them). guidance: weight of the goal.
     predicts: what it must have learned to say.
     """
@@ -94,6 +95,11 @@ class Trained:
     guidance: float | None = None
     name: str = "policy"
     predicts: Literal["actions", "change"] = "actions"
+    encoder: Path | None = None
+
+    def policy(self) -> Policy:
+        """The policy itself, read once a process."""
+        return load_policy(self.run / "policy", None if self.encoder is None else self.encoder / "policy")
 
     def check(self) -> None:
         """What can be checked without a simulator.
@@ -104,7 +110,9 @@ class Trained:
         """
         if not self.run.is_dir():
             raise CheckpointError(f"there is no run at {self.run}; make one with: playlearn train --out {self.run}")
-        policy = load_policy(self.run / "policy")
+        if self.encoder is not None and not self.encoder.is_dir():
+            raise CheckpointError(f"there is no run at {self.encoder} whose image encoder could be used")
+        policy = self.policy()
         if policy.spec.predicts != self.predicts:
             raise UsageError(f"{self.run} {_OTHERWISE[self.predicts]}")
         reads = policy.config.encoder.goals
@@ -112,10 +120,10 @@ class Trained:
             raise UsageError(f"{self.run} reads its goal from {_ARTICLE[reads[0]]}: use --goal {reads[0]}")
 
     def cameras(self) -> tuple[str, ...]:
-        return load_policy(self.run / "policy").cameras
+        return self.policy().cameras
 
     def build(self, environment: Environment) -> PolicyActor:
-        policy = load_policy(self.run / "policy")
+        policy = self.policy()
         missing = [camera for camera in policy.cameras if camera not in environment.spec.cameras]
         seen = {} if missing else environment.observe(policy.cameras).images
         policy.check(environment.spec, {camera: (image.shape[0], image.shape[1]) for camera, image in seen.items()})
@@ -125,10 +133,11 @@ class Trained:
         )
 
     def describe(self) -> dict[str, Any]:
-        policy = load_policy(self.run / "policy")
+        policy = self.policy()
         return {
             "type": "trained",
             "run": str(self.run),
+            **({} if self.encoder is None else {"encoder": str(self.encoder)}),
             "execute": self._execute(policy),
             "guidance": self.guidance,
             "config": to_dict(policy.config),
@@ -158,7 +167,7 @@ class Stepwise:
 
     def check(self) -> None:
         """See `Trained.check`; subgoals are states, so the worker must read those."""
-        if self.worker.run.is_dir() and "state" not in load_policy(self.worker.run / "policy").config.encoder.goals:
+        if self.worker.run.is_dir() and "state" not in self.worker.policy().config.encoder.goals:
             raise UsageError(
                 f"{self.worker.run} reads its goal from an image, and subgoals are states: leave --subgoals out, "
                 "or name a --run that reads states"
@@ -179,10 +188,10 @@ class Stepwise:
         return {**self.worker.describe(), "subgoals": self.proposer.describe(), "subgoal_seconds": self.seconds}
 
 
-def trained(run: Path, goal: str, suite: SuiteConfig) -> Trained | Stepwise:
+def trained(run: Path, goal: str, suite: SuiteConfig, encoder: Path | None = None) -> Trained | Stepwise:
     """A run's policy as a suite's settings let it act."""
     if suite.subgoals is None:
-        return Trained(run, goal, suite.execute, suite.guidance)
+        return Trained(run, goal, suite.execute, suite.guidance, encoder=encoder)
     proposer = Trained(suite.subgoals, goal, guidance=suite.guidance, predicts="change")
     return Stepwise(Trained(run, "state", suite.execute), proposer, suite.subgoal_seconds)
 
@@ -202,6 +211,7 @@ _ARTICLE = {"image": "an image", "state": "a state"}
 
 
 @cache
-def load_policy(path: Path) -> Policy:
-    """The policy at `path`, read once a process."""
-    return Policy.load(path)
+def load_policy(path: Path, encoder: Path | None = None) -> Policy:
+    """The policy at `path`, behind the image encoder of that at `encoder`, read once a process."""
+    policy = Policy.load(path)
+    return policy if encoder is None else policy.behind(load_policy(encoder), encoder)

@@ -32,6 +32,7 @@ def evaluate(
     *,
     out: Path,
     run: Path | None = None,
+    encoder: Path | None = None,
     policy: str | None = None,
     goal: str = "image",
     episodes: int | None = None,
@@ -43,6 +44,7 @@ def evaluate(
 ) -> dict[str, Any]:
     """Judge a run's policy, the expert or chance on a suite; write results.json, episodes.parquet and report.html.
 
+    encoder: a run whose image encoder a state policy looks through.
     With `references` the expert and chance attempt the same episodes. `expert` builds the
     environment's expert; by default it is that of `playlearn.teleop`.
 
@@ -58,7 +60,7 @@ def evaluate(
     config = load_suite(suite, [*overrides, *(f"--{k}={v}" for k, v in given.items() if v is not None)])
     config = replace(config, kind=config.kind.prepare(run))
     teacher = Expert(expert or scripted)
-    contenders = _contenders(config, run, policy, goal, teacher, references=references)
+    contenders = _contenders(config, run, encoder, policy, goal, teacher, references=references)
     executor = LocalExecutorConfig(workers=workers).build()
     _make(out)
 
@@ -157,7 +159,14 @@ def _pictures(
 
 
 def _contenders(
-    config: SuiteConfig, run: Path | None, policy: str | None, goal: str, expert: Expert, *, references: bool
+    config: SuiteConfig,
+    run: Path | None,
+    encoder: Path | None,
+    policy: str | None,
+    goal: str,
+    expert: Expert,
+    *,
+    references: bool,
 ) -> list[Contender]:
     """Who attempts the suite, the one that is judged first; refuses what cannot work before anything is simulated."""
     if goal not in GOALS:
@@ -168,7 +177,7 @@ def _contenders(
     if policy is not None and policy not in known:
         raise UsageError(f"--policy is {policy!r}{nearest(policy, POLICIES)}; a trained one is given as --run RUN")
     if run is not None:
-        judged = trained(run, goal, config)
+        judged = trained(run, goal, config, encoder)
         judged.check()
         return [judged, *(known.values() if references else ())]
     reference = known.pop(str(policy))

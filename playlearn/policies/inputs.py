@@ -1,6 +1,6 @@
 """What a policy reads. Any object with these fields will do: the dataset's Batch has them, and so has `Inputs`."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from typing import Any, Literal, Protocol
@@ -31,12 +31,19 @@ class Observed(Protocol):
 
 
 class Labelled(Observed, Protocol):
-    """The same with what a learner copies: action (B, H, A) in [-1, 1], action_mask (B, H) bool, True if it counts."""
+    """The same with what a learner copies: action (B, H, A) in [-1, 1], action_mask (B, H) bool, True if it counts.
+
+    keypoints, goal_keypoints: see `Inputs`.
+    """
 
     @property
     def action(self) -> Tensor: ...
     @property
     def action_mask(self) -> Tensor: ...
+    @property
+    def keypoints(self) -> Mapping[str, Tensor]: ...
+    @property
+    def goal_keypoints(self) -> Mapping[str, Tensor]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +54,9 @@ class Inputs:
     False where the history was padded by repeating its first observation; goal_achieved (B, G),
     goal_state (B, S) of the robot at the goal, goal_images camera -> (B, h, w, 3) uint8, empty where the
     goal is shown as a state.
+
+    In training, and only where a simulator drew the images: keypoints camera -> (B, T, O, 2) and goal_keypoints
+    camera -> (B, O, 2), x and y in [-1, 1] of `placed_objects` in the image, NaN behind the camera.
     """
 
     state: Tensor
@@ -56,6 +66,8 @@ class Inputs:
     goal_state: Tensor
     images: Mapping[str, Tensor] = field(default_factory=dict)
     goal_images: Mapping[str, Tensor] = field(default_factory=dict)
+    keypoints: Mapping[str, Tensor] = field(default_factory=dict)
+    goal_keypoints: Mapping[str, Tensor] = field(default_factory=dict)
 
     def to(self, device: torch.device | str) -> "Inputs":
         return Inputs(
@@ -66,6 +78,8 @@ class Inputs:
             goal_state=self.goal_state.to(device),
             images={camera: frames.to(device) for camera, frames in self.images.items()},
             goal_images={camera: frames.to(device) for camera, frames in self.goal_images.items()},
+            keypoints={camera: points.to(device) for camera, points in self.keypoints.items()},
+            goal_keypoints={camera: points.to(device) for camera, points in self.goal_keypoints.items()},
         )
 
 
@@ -142,6 +156,16 @@ class PolicySpec:
             if not any(fnmatchcase(name, pattern) for name in self.achieved_names):
                 raise UsageError(f"goal pattern {pattern!r} matches none of: {', '.join(self.achieved_names)}")
         return [i for i, name in enumerate(self.achieved_names) if any(fnmatchcase(name, p) for p in patterns)]
+
+
+def placed_objects(achieved_names: Sequence[str]) -> dict[str, tuple[int, int, int]]:
+    """Object -> where its x, y and z, in meters, stand in `achieved`: those whose place it says."""
+    places: dict[str, dict[str, int]] = {}
+    for index, name in enumerate(achieved_names):
+        thing, _, part = name.partition(".")
+        if part in ("x", "y", "z"):
+            places.setdefault(thing, {})[part] = index
+    return {thing: (at["x"], at["y"], at["z"]) for thing, at in places.items() if len(at) == 3}
 
 
 def _difference(what: str, mine: tuple[str, ...], theirs: tuple[str, ...]) -> str:

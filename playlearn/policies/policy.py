@@ -16,6 +16,7 @@ from playlearn.config import atomic_write, from_dict, to_dict
 from playlearn.errors import CheckpointError, PlaylearnError, UsageError
 from playlearn.policies.encoders import EncoderConfig, StateConfig
 from playlearn.policies.heads import DeterministicConfig, Generators, Guidance, HeadConfig
+from playlearn.policies.heads.base import draw_noise
 from playlearn.policies.inputs import Inputs, Labelled, Named, Observed, PolicySpec
 from playlearn.policies.normalise import Normaliser, Statistics, pooled
 from playlearn.policies.trunks import TransformerConfig, TrunkConfig
@@ -34,9 +35,11 @@ class PolicyConfig:
     whose robot state is withheld (the mean of the data is shown). Both against copying: a policy that can
     tell its next action from its last ones, or from how the arm moves, need not look at the goal
     (de Haan et al. 2019).
+    estimate_noise: std of the noise put, in training, on what is achieved now and in the goal, in units of the data's
+    own: a policy that is to act on an image encoder's estimates learns not to trust them to the millimeter.
 
     Raises:
-        UsageError: a share does not lie between 0 and 1.
+        UsageError: a share does not lie between 0 and 1, or the noise is negative.
     """
 
     encoder: EncoderConfig = field(default_factory=StateConfig)
@@ -47,8 +50,11 @@ class PolicyConfig:
     goal_dropout: float = 0.1
     history_dropout: float = 0.0
     proprio_dropout: float = 0.0
+    estimate_noise: float = 0.0
 
     def __post_init__(self) -> None:
+        if self.estimate_noise < 0:
+            raise UsageError(f"policy.estimate_noise must not be below 0, got {self.estimate_noise}")
         for name in ("goal_dropout", "history_dropout", "proprio_dropout"):
             if not 0 <= getattr(self, name) <= 1:
                 raise UsageError(f"policy.{name} is a share of the examples, 0 to 1: got {getattr(self, name)}")
@@ -118,7 +124,7 @@ class Policy(nn.Module):
             UsageError: it differs in more, or something of its encoder has no place here.
         """
         own, given = self.state_dict(), other.state_dict()
-        apart = {entry.name for entry in fields(PolicyConfig) if entry.name != "encoder"}
+        apart = {entry.name for entry in fields(PolicyConfig)} - {"encoder", "estimate_noise"}
         apart = {name for name in apart if getattr(self.config, name) != getattr(other.config, name)}
         placed = all(own.get(name, _NOTHING).shape == value.shape for name, value in given.items())
         if not placed or self.config.encoder.goal_names != other.config.encoder.goal_names:
@@ -131,6 +137,20 @@ class Policy(nn.Module):
                 "eyes for a policy of states need its `hidden`, and feed_estimate: true"
             )
         self.load_state_dict(own | given)
+
+    def behind(self, seeing: "Policy", source: Path) -> "Policy":
+        """A state policy, this one, behind the image encoder of another one, whose run is `source`, ready to act.
+
+        Raises:
+            UsageError: the two do not fit together, or their numbers are scaled differently.
+        """
+        joined = seeing.config.build(seeing.spec, None, seed=0, fetch=False)
+        joined.load_state_dict(seeing.state_dict())
+        mine, its = (part.normaliser.state_dict() for part in (self, seeing))
+        if any(not torch.equal(mine[name], its[name]) for name in mine):
+            raise UsageError(f"the image encoder of {source} learned from other play: train both on the same store")
+        joined.adopt(self, source)
+        return joined.to(self.device).eval()
 
     def learning(self, patterns: Sequence[str]) -> list[nn.Parameter]:
         """The parameters that some shell-style pattern names; all others are frozen.
@@ -153,6 +173,7 @@ class Policy(nn.Module):
         config, normal = self.config, self._normalised(batch)
         if not self.acting_learns:
             # no gradient of the head's loss would reach anything: only what is learned beside it is computed
+            normal = _with_keypoints(normal, batch)
             return _summed(self.encoder.auxiliary(self.encoder.perceive(normal, generator), normal))
         keep = self._kept(config.goal_dropout, batch, generator)
         # at 0 nothing is drawn, so that what is drawn next does not depend on an option that is not used
@@ -163,6 +184,14 @@ class Policy(nn.Module):
         if config.proprio_dropout > 0:
             felt = self._kept(config.proprio_dropout, batch, generator)
             normal = replace(normal, state=normal.state * felt[:, None, None])
+        if config.estimate_noise > 0:
+            normal = replace(
+                normal,
+                achieved=normal.achieved
+                + config.estimate_noise * draw_noise(normal.achieved.shape, generator, self.device),
+                goal_achieved=normal.goal_achieved
+                + config.estimate_noise * draw_noise(normal.goal_achieved.shape, generator, self.device),
+            )
         return self._loss(batch, normal, keep, generator, augment=generator)
 
     @property
@@ -173,8 +202,12 @@ class Policy(nn.Module):
 
     def loss(self, batch: Labelled, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
         """The same with nothing withheld and no augmentation: what held-out play is judged by."""
+        normal = self._normalised(batch)
+        if not self.acting_learns:
+            normal = _with_keypoints(normal, batch)
+            return _summed(self.encoder.auxiliary(self.encoder.perceive(normal), normal))
         keep = torch.ones(len(batch.state), dtype=torch.bool, device=self.device)
-        return self._loss(batch, self._normalised(batch), keep, generator, augment=None)
+        return self._loss(batch, normal, keep, generator, augment=None)
 
     @torch.inference_mode()
     def act(
@@ -266,7 +299,7 @@ class Policy(nn.Module):
         generator: torch.Generator,
         augment: torch.Generator | None,
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        features, extra = self._features(normal, keep, augment)
+        features, extra = self._features(_with_keypoints(normal, batch), keep, augment)
         chunk = self.normaliser.normalise("action", batch.action)
         loss, metrics = self.head.loss(features, chunk, batch.action_mask, generator)
         total, parts = _summed({"head": loss, **extra})
@@ -300,6 +333,10 @@ class Policy(nn.Module):
                 if camera in inputs.goal_images
             },
         )
+
+
+def _with_keypoints(normal: Inputs, batch: Labelled) -> Inputs:
+    return replace(normal, keypoints=batch.keypoints, goal_keypoints=batch.goal_keypoints)
 
 
 def _summed(losses: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:

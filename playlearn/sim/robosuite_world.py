@@ -200,6 +200,21 @@ class RobosuiteWorld:
         self._refresh()
         self._after_step()
 
+    def rearrange(self, rng: np.random.Generator) -> None:
+        """Place the objects as a random start does, the robot staying where it is; only to be looked at."""
+        self._arrange(rng)
+        self._refresh()
+
+    def project(self, camera: str, points: Array) -> Array:
+        """(n, 3) m to (n, 2): where a camera sees them, x to the right and y down in [-1, 1]; NaN behind it."""
+        mujoco.mj_camlight(self.model, self.data)
+        ident, size = self.model.camera(camera).id, self._cameras[camera]
+        turn = self.data.cam_xmat[ident].reshape(3, 3)  # its columns: to the right, up, back
+        right, up, back = ((points - self.data.cam_xpos[ident]) @ turn).T
+        depth = np.where(back < 0, -back, np.nan)
+        half = np.tan(np.deg2rad(self.model.cam_fovy[ident]) / 2)
+        return np.stack([right / depth / half * size.height / size.width, -up / depth / half], axis=1)
+
     def displace(self, shift: Array, turn: Array) -> bool:
         """See `playlearn.sim.displace.Displaceable`."""
         there = displace(self.model, self.data, self._site, self._arm_qpos, self._arm_qvel, shift, turn)

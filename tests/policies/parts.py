@@ -24,6 +24,14 @@ S, G, A, H = 3, 4, 3, 4
 # Only what makes a kind quick; a kind that is not named here is tested as it comes.
 SMALL: dict[str, dict[str, Any]] = {
     "cnn": {"channels": [8, 8], "kernels": [3, 3], "strides": [2, 2], "features": 16, "hidden": 16},
+    "keypoints": {
+        "channels": [8, 8],
+        "kernels": [3, 3],
+        "strides": [2, 2],
+        "features": 16,
+        "hidden": 16,
+        "heatmaps": 3,
+    },
     "tokens": {"channels": [8, 8], "kernels": [3, 3], "strides": [2, 2], "tokens": 2, "hidden": 16},
     "transformers": {
         "name": "resnet",
@@ -63,6 +71,8 @@ class Examples:
     action_mask: torch.Tensor
     images: Mapping[str, torch.Tensor] = field(default_factory=dict)
     goal_images: Mapping[str, torch.Tensor] = field(default_factory=dict)
+    keypoints: Mapping[str, torch.Tensor] = field(default_factory=dict)
+    goal_keypoints: Mapping[str, torch.Tensor] = field(default_factory=dict)
 
 
 def small(kind: str, **more: Any) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from playlearn.policies.encoders.base import Encoder, EncoderConfig, Modality, Tokens
 from playlearn.policies.encoders.cnn import CNNConfig
 from playlearn.policies.encoders.image import AuxiliaryConfig, ImageConfig
+from playlearn.policies.encoders.keypoints import KeypointsConfig
 from playlearn.policies.encoders.state import StateConfig
 from playlearn.policies.encoders.tokens import TokensConfig
 from playlearn.policies.encoders.torchvision import TorchvisionConfig
@@ -14,6 +15,7 @@ __all__ = [
     "Encoder",
     "EncoderConfig",
     "ImageConfig",
+    "KeypointsConfig",
     "Modality",
     "StateConfig",
     "Tokens",

@@ -1,14 +1,14 @@
 """What every encoder offers: observation history and goal in, tokens out."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 import draccus
 import torch
 from torch import Tensor, nn
 
-from playlearn.policies.inputs import Observed, PolicySpec
+from playlearn.policies.inputs import Inputs, Observed, PolicySpec
 
 Modality = Literal["state", "image"]
 
@@ -53,12 +53,17 @@ class EncoderConfig(draccus.ChoiceRegistry):
 
 @dataclass(frozen=True, eq=False)
 class Tokens:
-    """goal (B, N, D), steps (B, T, M, D); estimates of the normalised achieved, (B, T, G) and (B, G), where made."""
+    """goal (B, N, D), steps (B, T, M, D); estimates of the normalised achieved, (B, T, G) and (B, G), where made.
+
+    heatmaps, goal_heatmaps: camera -> (B, T, K, h, w) and (B, K, h, w) logits, of encoders that make them.
+    """
 
     goal: Tensor
     steps: Tensor
     observed: Tensor | None = None
     wanted: Tensor | None = None
+    heatmaps: Mapping[str, Tensor] = field(default_factory=dict)
+    goal_heatmaps: Mapping[str, Tensor] = field(default_factory=dict)
 
 
 class Encoder(nn.Module):
@@ -80,8 +85,10 @@ class Encoder(nn.Module):
 
     def perceive(self, inputs: Observed, generator: torch.Generator | None = None) -> Tokens:
         """What `auxiliary` needs of `forward`, and no more; its tokens may be empty."""
-        return self(inputs, torch.ones(len(inputs.state), dtype=torch.bool, device=inputs.state.device), generator)
+        keep = torch.ones(len(inputs.state), dtype=torch.bool, device=inputs.state.device)
+        tokens: Tokens = self(inputs, keep, generator)
+        return tokens
 
-    def auxiliary(self, tokens: Tokens, inputs: Observed) -> dict[str, Tensor]:
+    def auxiliary(self, tokens: Tokens, inputs: Inputs) -> dict[str, Tensor]:
         """Weighted losses of what is learned on the side, by name; used in training only."""
         return {}

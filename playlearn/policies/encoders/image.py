@@ -12,7 +12,7 @@ from playlearn.policies.encoders.base import Encoder, Tokens
 from playlearn.policies.encoders.cameras import CamerasConfig, pixels, random_shift
 from playlearn.policies.encoders.objects import ObjectTokens, mlp
 from playlearn.policies.encoders.stated import StatedGoal
-from playlearn.policies.inputs import Observed, PolicySpec
+from playlearn.policies.inputs import Inputs, Observed, PolicySpec
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,8 @@ class ImageConfig(CamerasConfig):
     auxiliary: see AuxiliaryConfig. feed_estimate: hand the estimated achieved of observation and goal and
     their difference to the policy, as the state encoder does with the true ones; a goal that is a state needs no
     estimate. feed_cameras: the cameras whose features the policy sees beside them (null: all).
-    detach_estimate: the policy's own loss does not shape the estimates.
+    detach_estimate: the policy's own loss does not shape the estimates. linear_estimate: they are a linear map of the
+    features beside the small network's.
     """
 
     fusion: Literal["early", "late"] = "early"
@@ -40,12 +41,18 @@ class ImageConfig(CamerasConfig):
     feed_estimate: bool = False
     feed_cameras: tuple[str, ...] | None = None
     detach_estimate: bool = True
+    linear_estimate: bool = False
 
     def backbone(self, channels: int, size: tuple[int, int], *, fetch: bool) -> nn.Module:
         """(B, channels, h, w) in [-1, 1] -> (B, features)."""
         raise NotImplementedError
 
     def build(self, spec: PolicySpec, width: int, *, fetch: bool = True) -> "ImageEncoder":
+        self.check_build()
+        return ImageEncoder(self, spec, width, fetch=fetch)
+
+    def check_build(self) -> None:
+        """Raises UsageError where the fields contradict each other."""
         self.check()
         if self.feed_estimate and self.auxiliary.achieved <= 0:
             raise UsageError("encoder.feed_estimate needs encoder.auxiliary.achieved above 0: nothing else trains it")
@@ -57,7 +64,6 @@ class ImageConfig(CamerasConfig):
             raise UsageError(
                 "encoder.feed_cameras without the goal's camera needs encoder.feed_estimate: no goal is seen"
             )
-        return ImageEncoder(self, spec, width, fetch=fetch)
 
 
 class ImageEncoder(Encoder):
@@ -119,7 +125,9 @@ class ImageEncoder(Encoder):
             step_tokens.append(self.objects(inputs.state, now, then, keep))
         elif self.proprio is not None:
             step_tokens.append(self.proprio(inputs.state).unsqueeze(2))
-        return Tokens(goal_token.unsqueeze(1), torch.cat(step_tokens, 2), observed, goal)
+        return Tokens(
+            goal_token.unsqueeze(1), torch.cat(step_tokens, 2), observed, goal, seen.heatmaps, seen.goal_heatmaps
+        )
 
     def token_parameters(self) -> Iterable[nn.Parameter]:
         if not (self.config.feed_estimate and self.config.detach_estimate) or self.project or self.project_goal:
@@ -129,11 +137,16 @@ class ImageEncoder(Encoder):
 
     def perceive(self, inputs: Observed, generator: torch.Generator | None = None) -> Tokens:
         pictured = self.config.pictured(inputs, generator)
-        observed, goal = self._estimated(inputs, self._see(inputs, pictured, generator), pictured)
+        seen = self._see(inputs, pictured, generator)
+        observed, goal = self._estimated(inputs, seen, pictured)
         none = inputs.state.new_empty(len(pictured), 0, 0)
-        return Tokens(none, none.unsqueeze(1), observed, goal)
+        return Tokens(none, none.unsqueeze(1), observed, goal, seen.heatmaps, seen.goal_heatmaps)
 
-    def auxiliary(self, tokens: Tokens, inputs: Observed) -> dict[str, Tensor]:
+    def look(self, backbone: nn.Module, images: Tensor) -> tuple[Tensor, Tensor | None]:
+        """(B, C, h, w) to features (B, F), and heatmaps (B, K, h', w') of those that make them."""
+        return backbone(images), None
+
+    def auxiliary(self, tokens: Tokens, inputs: Inputs) -> dict[str, Tensor]:
         if tokens.observed is None or tokens.wanted is None:
             return {}
         # a small beta: nearly an absolute error, so that the last centimetre still counts
@@ -152,43 +165,60 @@ class ImageEncoder(Encoder):
         return observed, goal
 
     def _see(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None) -> "_Seen":
-        """keep: (B,) bool, whose goal image may be seen."""
+        """keep: (B,) bool, whose goal image may be seen. Fused early, the last step's features tell both."""
         config, (batch, steps) = self.config, inputs.state.shape[:2]
-        front, goal = self._see_front(inputs, keep, generator)
-        cameras = {config.goal_camera: front}
+        heatmaps: dict[str, Tensor] = {}
+        goal_heatmaps: dict[str, Tensor] = {}
+        frames = self._front_frames(inputs, keep, generator)  # (B, T or T + 1, h, w, C)
+        seen, maps = self.look(self.front, frames.flatten(0, 1))
+        seen = seen.unflatten(0, (batch, -1))  # (B, T or T + 1, F)
+        goal = seen[:, -1] if self.fused or frames.shape[1] > steps else None
+        cameras = {config.goal_camera: seen[:, :steps]}
+        if maps is not None:
+            maps = maps.unflatten(0, (batch, -1))
+            heatmaps[config.goal_camera] = maps[:, :steps]
+            if goal is not None and not self.fused:
+                goal_heatmaps[config.goal_camera] = maps[:, -1]
         for camera, backbone in self.others.items():
-            frames = random_shift(inputs.images[camera], config.shift, generator)
-            cameras[camera] = backbone(pixels(frames.flatten(0, 1))).unflatten(0, (batch, steps))
-        return _Seen(cameras, goal)
+            shown = random_shift(inputs.images[camera], config.shift, generator)
+            found, maps = self.look(backbone, pixels(shown.flatten(0, 1)))
+            cameras[camera] = found.unflatten(0, (batch, steps))
+            if maps is not None:
+                heatmaps[camera] = maps.unflatten(0, (batch, steps))
+        return _Seen(cameras, goal, heatmaps, goal_heatmaps)
 
-    def _see_front(
-        self, inputs: Observed, keep: Tensor, generator: torch.Generator | None
-    ) -> tuple[Tensor, Tensor | None]:
-        """Features (B, T, F) of the observation, (B, F) of the goal image if any; fused, the last step's tell both."""
+    def _front_frames(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None) -> Tensor:
+        """(B, T, C, h, w) what the network of the goal's camera looks at: fused with the goal, or that is one more."""
         config, (batch, steps) = self.config, inputs.state.shape[:2]
         shown = inputs.images[config.goal_camera]  # (B, T, h, w, 3)
         if config.goal_camera not in inputs.goal_images and not self.fused:
             shown = random_shift(shown, config.shift, generator)
-            return self.front(pixels(shown.flatten(0, 1))).unflatten(0, (batch, steps)), None
+            return self._rows(pixels(shown.flatten(0, 1)), batch)
         wanted = inputs.goal_images.get(config.goal_camera, torch.zeros_like(shown[:, 0]))  # (B, h, w, 3)
         both = torch.cat([shown, wanted.unsqueeze(1)], dim=1)
-        shown, wanted = random_shift(both, config.shift, generator).split([steps, 1], 1)
-        if self.fused:
-            stacked = torch.cat([shown, wanted.expand(-1, steps, -1, -1, -1)], dim=-1)  # (B, T, h, w, 6)
-            scaled = pixels(stacked.flatten(0, 1))  # (B T, 6, h, w)
-            withheld = ~keep.repeat_interleave(steps)
-            scaled[:, 3:].masked_fill_(withheld[:, None, None, None], 0.0)  # mid-grey
-            seen: Tensor = self.front(scaled).unflatten(0, (batch, steps))
-            return seen, seen[:, -1]
-        seen = self.front(pixels(torch.cat([shown, wanted], dim=1).flatten(0, 1))).unflatten(0, (batch, steps + 1))
-        return seen[:, :-1], seen[:, -1]
+        both = random_shift(both, config.shift, generator)
+        if not self.fused:
+            return self._rows(pixels(both.flatten(0, 1)), batch)
+        shown, wanted = both.split([steps, 1], 1)
+        stacked = torch.cat([shown, wanted.expand(-1, steps, -1, -1, -1)], dim=-1)  # (B, T, h, w, 6)
+        scaled = pixels(stacked.flatten(0, 1))  # (B T, 6, h, w)
+        withheld = ~keep.repeat_interleave(steps)
+        scaled[:, 3:].masked_fill_(withheld[:, None, None, None], 0.0)  # mid-grey
+        return self._rows(scaled, batch)
+
+    @staticmethod
+    def _rows(frames: Tensor, batch: int) -> Tensor:
+        """(B T, ...) to (B, T, ...)."""
+        return frames.view(batch, -1, *frames.shape[1:])
 
 
 class _Seen(NamedTuple):
-    """Features: camera -> (B, T, F) of the observation, (B, F) of the goal image, if there is one."""
+    """Features: camera -> (B, T, F) of the observation, (B, F) of the goal image, if there is one; see `Tokens`."""
 
     cameras: dict[str, Tensor]
     goal: Tensor | None
+    heatmaps: dict[str, Tensor]
+    goal_heatmaps: dict[str, Tensor]
 
 
 class _Estimate(nn.Module):
@@ -196,9 +226,9 @@ class _Estimate(nn.Module):
 
     def __init__(self, config: ImageConfig, achieved: int, state: int) -> None:
         super().__init__()
-        seen = config.features * len(config.cameras) + state
-        self.observed = mlp(seen, config.hidden, achieved)
-        self.wanted = mlp(config.features, config.hidden, achieved)
+        seen, net = config.features * len(config.cameras) + state, _Read if config.linear_estimate else mlp
+        self.observed = net(seen, config.hidden, achieved)
+        self.wanted = net(config.features, config.hidden, achieved)
         # fused late, one network looks at both images, so one head may learn from both
         self.shared = config.fusion == "late" or config.goal == "state"
         self.camera = config.goal_camera
@@ -206,3 +236,16 @@ class _Estimate(nn.Module):
     def forward(self, features: dict[str, Tensor], state: Tensor) -> Tensor:
         observed: Tensor = self.observed(torch.cat([*features.values(), state], dim=-1))  # (B, T, G)
         return observed + self.wanted(features[self.camera]) if self.shared else observed
+
+
+class _Read(nn.Module):
+    """A linear map, and a small network for what is not linear."""
+
+    def __init__(self, inputs: int, hidden: int, out: int) -> None:
+        super().__init__()
+        self.linear = nn.Linear(inputs, out)
+        self.net = mlp(inputs, hidden, out)
+
+    def forward(self, features: Tensor) -> Tensor:
+        out: Tensor = self.linear(features) + self.net(features)
+        return out

@@ -1,0 +1,167 @@
+"""Draw scenes of a store's episodes, on all cores; an interrupted drawing goes on where it stopped."""
+
+import functools
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+import playlearn.tasks  # noqa: F401 - registers the environments
+from playlearn.config import atomic_write, from_dict
+from playlearn.episode import IMAGES, Array
+from playlearn.errors import UsageError
+from playlearn.executor import Job, LocalExecutorConfig
+from playlearn.policies.inputs import placed_objects
+from playlearn.report.progress import Progress
+from playlearn.scenes.config import ScenesConfig
+from playlearn.sim import Environment, EnvironmentConfig
+from playlearn.store import Store, episode_path, open_store
+from playlearn.store.folder import make_folder, sweep
+from playlearn.store.tensors import write_tensors
+
+NOTE = "scenes.json"
+KEYPOINTS = "keypoints."
+
+
+@runtime_checkable
+class SceneEnvironment(Environment, Protocol):
+    """An environment whose objects can be placed anew around the robot, and whose cameras' geometry is known."""
+
+    def rearrange(self, rng: np.random.Generator) -> None:
+        """Place the objects as a random start does, the robot staying where it is; only to be looked at."""
+        ...
+
+    def project(self, camera: str, points: Array) -> Array:
+        """(n, 3) m to (n, 2): where a camera sees them, x to the right and y down in [-1, 1]; NaN behind it."""
+        ...
+
+
+def draw_scenes(
+    config: ScenesConfig,
+    store: Store,
+    held_out: NDArray[np.bool_],
+    cameras: Sequence[str],
+    goal_cameras: Sequence[str],
+    folder: Path,
+    workers: int | None = None,
+) -> None:
+    """Leave in `folder` a file for each episode of the store; those that are there already stay.
+
+    A file holds of 2 n scenes, n observations and n goals: observation.state (n, S), achieved (2 n, G), images of
+    `cameras` (n, h, w, 3) uint8, those of `goal_cameras` (2 n, h, w, 3); under `keypoints.CAMERA` where that camera
+    sees the `placed_objects`, (n or 2 n, O, 2) float32. held_out: (N,) which episodes are held out.
+
+    Raises:
+        UsageError: `folder` was drawn with other settings, or the store's environment cannot be rearranged or drawn.
+        StoreError: the store lacks simulator states, or the disk is full.
+    """
+    note = {
+        "store": dict(store.spec.environment),
+        "sizes": scene_sizes(store, (*cameras, *goal_cameras)),
+        "cameras": list(cameras),
+        "goal_cameras": list(goal_cameras),
+        **{name: getattr(config, name) for name in ("per_episode", "rearranged", "seed")},
+    }
+    _claim(folder, note)
+    jobs = [
+        Job(
+            key=int(number),
+            function=draw,
+            kwargs={
+                "source": store.name(),
+                "out": str(folder),
+                "index": int(number),
+                "rearranged": 0.0 if out else config.rearranged,
+            },
+        )
+        for number, out in zip(store.indices(), held_out, strict=True)
+        if not episode_path(folder, int(number)).exists()
+    ]
+    if not jobs:
+        return
+    with (
+        LocalExecutorConfig(workers=workers).build() as executor,
+        Progress(f"scenes {folder}", len(store), "episode", begun=len(store) - len(jobs)) as progress,
+    ):
+        for count, _ in enumerate(executor.run(jobs), len(store) - len(jobs) + 1):
+            progress.to(count)
+
+
+def scene_sizes(store: Store, cameras: Sequence[str]) -> dict[str, tuple[int, int]]:
+    """Camera -> (height, width) of what the store's environment draws.
+
+    Raises:
+        UsageError: it has no such camera, or its scenes cannot be drawn.
+    """
+    environment = _environment(json.dumps(dict(store.spec.environment)))
+    unknown = [camera for camera in cameras if camera not in environment.spec.cameras]
+    if unknown:
+        raise UsageError(f"scenes: there is no camera {unknown[0]!r}; there is {', '.join(environment.spec.cameras)}")
+    images = environment.observe(tuple(dict.fromkeys(cameras))).images
+    return {camera: (int(image.shape[0]), int(image.shape[1])) for camera, image in images.items()}
+
+
+def draw(source: str, out: str, index: int, rearranged: float) -> None:
+    """Scenes of the episode that was recorded under `index`: what a worker does."""
+    store, note = _store(source), _note(out)
+    environment = _environment(json.dumps(dict(store.spec.environment)))
+    states = store.array(int(np.searchsorted(store.indices(), index)), "sim.state")
+    rng = np.random.default_rng((int(note["seed"]), index))
+    count, goals = int(note["per_episode"]), tuple(note["goal_cameras"])
+    rows: dict[str, list[Array]] = {}
+    for number, t in enumerate(rng.integers(len(states), size=2 * count)):
+        environment.set_state(np.array(states[t]))
+        if rng.random() < rearranged:
+            environment.rearrange(rng)
+        cameras = tuple(note["cameras"]) if number < count else goals
+        scene = environment.observe(cameras)
+        if number < count:
+            rows.setdefault("observation.state", []).append(scene.state)
+        rows.setdefault("achieved", []).append(scene.achieved)
+        objects = placed_objects(environment.spec.achieved_names).values()
+        points = np.array([scene.achieved[list(at)] for at in objects], np.float64).reshape(-1, 3)
+        for camera in cameras:
+            rows.setdefault(IMAGES + camera, []).append(scene.images[camera])
+            rows.setdefault(KEYPOINTS + camera, []).append(environment.project(camera, points).astype(np.float32))
+    write_tensors(
+        episode_path(Path(out), index), {key: np.stack(values) for key, values in rows.items()}, {"format": "scenes"}
+    )
+
+
+def _claim(folder: Path, note: Mapping[str, Any]) -> None:
+    """Write down what the folder's files are drawn with; raises UsageError where that was something else."""
+    path = folder / NOTE
+    if not path.exists():
+        make_folder(folder / "episodes")
+        atomic_write(path, json.dumps(note, indent=2).encode())
+        return
+    sweep(folder)
+    before, now = json.loads(path.read_text()), json.loads(json.dumps(note))
+    changed = sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name))
+    if changed:
+        raise UsageError(f"{folder} holds scenes of another {', '.join(changed)}: name another scenes.folder")
+
+
+@functools.cache
+def _store(path: str) -> Store:
+    return open_store(path)
+
+
+@functools.cache
+def _note(folder: str) -> dict[str, Any]:
+    note: dict[str, Any] = json.loads((Path(folder) / NOTE).read_text())
+    return note
+
+
+@functools.cache
+def _environment(config: str) -> SceneEnvironment:
+    environment = from_dict(EnvironmentConfig, json.loads(config)).build()
+    environment.reset(0)
+    if not isinstance(environment, SceneEnvironment):
+        raise UsageError(
+            "scenes: this environment cannot place its objects anew (`rearrange`, `project`); leave them out"
+        )
+    return environment
