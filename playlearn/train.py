@@ -203,7 +203,7 @@ class _Run:
         encoder, cameras = self.config.policy.encoder, self.store.cameras()
         if self.config.scenes is None:
             return cameras
-        return {**cameras, **scene_sizes(self.store, (*encoder.observation_cameras, *encoder.goal_cameras))}
+        return {**cameras, **scene_sizes(self.store, encoder.observation_cameras)}
 
     def draw(self) -> None:
         """Draw what scenes are asked for, and show them."""
@@ -213,7 +213,7 @@ class _Run:
         folder, out = scenes.folder or self.out / "scenes", held_out(self.store, self.config.data.heldout_share)
         cameras, goal_cameras = encoder.observation_cameras, encoder.goal_cameras
         if self.accelerator.is_main_process:
-            draw_scenes(scenes, self.store, out, cameras, goal_cameras, folder)
+            draw_scenes(scenes, self.store, out, cameras, folder)
         self.accelerator.wait_for_everyone()
         numbers, seed = self.store.indices(), self.config.seed
 
@@ -229,7 +229,7 @@ class _Run:
         if out.any():
             held = drawn_of(numbers[out])
             order = held.epoch_indices(0)[: self.config.heldout_batches * self.config.batch_size]
-            self.heldout = [held.batch(0, part) for part in _parts(order, self.config.batch_size)]
+            self.heldout = [held.batch(part) for part in _parts(order, self.config.batch_size)]
 
     def correct(self) -> None:
         """Make what corrections are asked for, and show them."""

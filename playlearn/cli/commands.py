@@ -129,6 +129,16 @@ def dagger(arguments: argparse.Namespace) -> int:
     return DONE
 
 
+def demo(arguments: argparse.Namespace) -> int:
+    from playlearn.config import load_config
+    from playlearn.demo import DemoConfig
+    from playlearn.demo import demo as run
+
+    config = load_config(DemoConfig, arguments.config, _flags(arguments, "seed") + arguments.overrides)
+    run(config, arguments.out, steps=arguments.steps)
+    return DONE
+
+
 def diagnose(arguments: argparse.Namespace) -> int:
     from playlearn.diagnose import diagnose as run
     from playlearn.diagnose import said

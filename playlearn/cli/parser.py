@@ -99,6 +99,16 @@ def _parser() -> argparse.ArgumentParser:
     made.add_argument("--resume", action="store_true", help="go on with the rounds in --out, skip those that are done")
     _json(made)
 
+    words = "record play, learn from it and reach goal images, in one go; says how long it takes"
+    again = "; the same command goes on from there"
+    made = verb(commands.demo, "demo", words, free=True, kept=again)
+    made.add_argument(
+        "--config", type=Path, default=Path("configs/demo.yaml"), metavar="FILE", help="(default %(default)s)"
+    )
+    made.add_argument("--out", type=Path, default=Path("runs/demo"), metavar="DIR", help="(default %(default)s)")
+    made.add_argument("--seed", type=int, metavar="S", help="of play and trainings")
+    made.add_argument("--steps", type=_count, metavar="N", help="updates of every training, in place of their configs'")
+
     made = verb(commands.diagnose, "diagnose", "say why a policy fails on a suite, with pictures", free=True)
     made.add_argument("--run", type=Path, required=True, metavar="RUN", help="the folder of a training run")
     _judged(made, "diagnosis.json and .html")

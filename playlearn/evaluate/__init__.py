@@ -2,7 +2,16 @@
 
 import playlearn.tasks  # noqa: F401  so that a suite can name any world
 from playlearn.evaluate.chains import ChainsConfig
-from playlearn.evaluate.contenders import Contender, Expert, Random, Stepwise, Trained, scripted, trained
+from playlearn.evaluate.contenders import (
+    Contender,
+    Expert,
+    Random,
+    Stepwise,
+    Trained,
+    join_runs,
+    scripted,
+    trained,
+)
 from playlearn.evaluate.far import FarConfig
 from playlearn.evaluate.heldout import HeldoutConfig
 from playlearn.evaluate.job import evaluate
@@ -25,6 +34,7 @@ __all__ = [
     "TasksConfig",
     "Trained",
     "evaluate",
+    "join_runs",
     "load_suite",
     "scripted",
     "trained",

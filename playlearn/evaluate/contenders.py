@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
-from playlearn.config import to_dict
+from playlearn.config import atomic_write, to_dict
 from playlearn.errors import CheckpointError, UsageError
 from playlearn.evaluate.suite import SuiteConfig
 from playlearn.policies import Policy
@@ -208,6 +208,14 @@ def _check_controller(trained: Mapping[str, Any], here: Mapping[str, Any]) -> No
 
 
 _ARTICLE = {"image": "an image", "state": "a state"}
+
+
+def join_runs(run: Path, encoder: Path, out: Path) -> None:
+    """Make one run of a state policy's and of the image encoder that it looks through."""
+    load_policy(run / "policy", encoder / "policy").save(out / "policy")
+    for name in ("config.yaml", "run.json"):
+        if (encoder / name).is_file():
+            atomic_write(out / name, (encoder / name).read_bytes())
 
 
 @cache

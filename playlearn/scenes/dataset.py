@@ -11,17 +11,16 @@ from numpy.typing import NDArray
 from playlearn.data import Batch, Indices
 from playlearn.episode import IMAGES, Array
 from playlearn.prefetch import prepared_ahead
-from playlearn.relabel import counter_uniforms
 from playlearn.scenes.draw import KEYPOINTS
 from playlearn.store import episode_path
 from playlearn.store.tensors import map_tensors, read_header
 
 _OPEN = 1024  # files mapped at once
-_SEED = 0x5CE4E5  # so that these draws are not those of the goals
+_SEED = 0x5CE4E5  # so that these orders are not those of the play
 
 
 class Scenes:
-    """Scenes that `draw_scenes` left in a folder; any scene may be the goal of any other.
+    """Scenes that `draw_scenes` left in a folder, each its own goal: one look at it then teaches both.
 
     An example's actions are masked: only what is learned of the images counts.
     """
@@ -46,7 +45,7 @@ class Scenes:
         files = [_read(path) for path in self._paths]
         self._each = len(files[0]["observation.state"])
         self.state = np.concatenate([file["observation.state"] for file in files])  # (n, S)
-        self.achieved = np.stack([file["achieved"] for file in files])  # (files, 2 each, G)
+        self.achieved = np.concatenate([file["achieved"] for file in files])  # (n, G)
         self._shape = labels
 
     def __len__(self) -> int:
@@ -57,32 +56,31 @@ class Scenes:
         """(n,) the observations of an epoch in their order, each once."""
         return np.random.default_rng((self.seed, _SEED, epoch)).permutation(len(self))
 
-    def batch(self, epoch: int | Indices, indices: Indices) -> Batch:
-        """The given observations as they are in an epoch (one for all, or one each), each with a goal of any scene."""
-        indices = np.asarray(indices, np.int64)
-        file, row = np.divmod(indices, self._each)
-        drawn = counter_uniforms(self.seed ^ _SEED, epoch, indices, 1)[:, 0]
-        goal_file, goal_row = np.divmod((drawn * len(self)).astype(np.int64), self._each)
-        goal_row += self._each
-        steps, actions = self._shape
-        count, ones = len(indices), torch.ones
+    def batch(self, indices: Indices) -> Batch:
+        """The given scenes."""
+        files, rows = np.divmod(np.asarray(indices, np.int64), self._each)
+        (steps, actions), count = self._shape, len(indices)
 
-        def take(key: str, files: Indices, rows: Indices) -> torch.Tensor:
-            return torch.from_numpy(np.stack([_read(self._paths[f])[key][r] for f, r in zip(files, rows, strict=True)]))
+        def take(key: str) -> torch.Tensor:
+            picked = [_read(self._paths[file])[key][row] for file, row in zip(files, rows, strict=True)]
+            return torch.from_numpy(np.stack(picked))
 
+        images = {camera: take(IMAGES + camera) for camera in self.cameras}
+        keypoints = {camera: take(KEYPOINTS + camera) for camera in self.cameras}
+        state, achieved = torch.from_numpy(self.state[indices]), torch.from_numpy(self.achieved[indices])
         return Batch(
-            state=torch.from_numpy(self.state[indices])[:, None],
-            achieved=torch.from_numpy(self.achieved[file, row])[:, None],
-            images={camera: take(IMAGES + camera, file, row)[:, None] for camera in self.cameras},
-            history_mask=ones(count, 1, dtype=torch.bool),
-            goal_achieved=torch.from_numpy(self.achieved[goal_file, goal_row]),
-            goal_state=torch.from_numpy(self.state[indices]),
-            goal_images={camera: take(IMAGES + camera, goal_file, goal_row) for camera in self.goal_cameras},
+            state=state[:, None],
+            achieved=achieved[:, None],
+            images={camera: frames[:, None] for camera, frames in images.items()},
+            history_mask=torch.ones(count, 1, dtype=torch.bool),
+            goal_achieved=achieved,
+            goal_state=state,
+            goal_images={camera: images[camera] for camera in self.goal_cameras},
             action=torch.zeros(count, steps, actions),
             action_mask=torch.zeros(count, steps, dtype=torch.bool),
             steps_to_goal=torch.zeros(count, dtype=torch.int64),
-            keypoints={camera: take(KEYPOINTS + camera, file, row)[:, None] for camera in self.cameras},
-            goal_keypoints={camera: take(KEYPOINTS + camera, goal_file, goal_row) for camera in self.goal_cameras},
+            keypoints={camera: points[:, None] for camera, points in keypoints.items()},
+            goal_keypoints={camera: keypoints[camera] for camera in self.goal_cameras},
         )
 
     def at(self, places: Indices, orders: dict[int, Indices]) -> Batch:
@@ -93,7 +91,7 @@ class Scenes:
         for epoch in set(epochs.tolist()) - set(orders):
             orders[epoch] = self.epoch_indices(epoch)
         indices = np.concatenate([orders[e][places[epochs == e] % len(self)] for e in np.unique(epochs).tolist()])
-        return self.batch(epochs, indices)
+        return self.batch(indices)
 
     def batches(self, batch_size: int, start_step: int = 0, rank: int = 0, ranks: int = 1) -> Iterator[Batch]:
         """See `PlayDataset.batches`."""

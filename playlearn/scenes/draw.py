@@ -44,15 +44,13 @@ def draw_scenes(
     store: Store,
     held_out: NDArray[np.bool_],
     cameras: Sequence[str],
-    goal_cameras: Sequence[str],
     folder: Path,
     workers: int | None = None,
 ) -> None:
     """Leave in `folder` a file for each episode of the store; those that are there already stay.
 
-    A file holds of 2 n scenes, n observations and n goals: observation.state (n, S), achieved (2 n, G), images of
-    `cameras` (n, h, w, 3) uint8, those of `goal_cameras` (2 n, h, w, 3); under `keypoints.CAMERA` where that camera
-    sees the `placed_objects`, (n or 2 n, O, 2) float32. held_out: (N,) which episodes are held out.
+    A file holds of n scenes: observation.state (n, S), achieved (n, G), images of `cameras` (n, h, w, 3) uint8, and
+    under `keypoints.CAMERA` where that camera sees the `placed_objects`, (n, O, 2) float32. held_out: (N,) which are.
 
     Raises:
         UsageError: `folder` was drawn with other settings, or the store's environment cannot be rearranged or drawn.
@@ -60,9 +58,7 @@ def draw_scenes(
     """
     note = {
         "store": dict(store.spec.environment),
-        "sizes": scene_sizes(store, (*cameras, *goal_cameras)),
-        "cameras": list(cameras),
-        "goal_cameras": list(goal_cameras),
+        "sizes": scene_sizes(store, cameras),
         **{name: getattr(config, name) for name in ("per_episode", "rearranged", "seed")},
     }
     _claim(folder, note)
@@ -110,18 +106,15 @@ def draw(source: str, out: str, index: int, rearranged: float) -> None:
     environment = _environment(json.dumps(dict(store.spec.environment)))
     states = store.array(int(np.searchsorted(store.indices(), index)), "sim.state")
     rng = np.random.default_rng((int(note["seed"]), index))
-    count, goals = int(note["per_episode"]), tuple(note["goal_cameras"])
+    cameras, objects = tuple(note["sizes"]), placed_objects(environment.spec.achieved_names).values()
     rows: dict[str, list[Array]] = {}
-    for number, t in enumerate(rng.integers(len(states), size=2 * count)):
+    for t in rng.integers(len(states), size=int(note["per_episode"])):
         environment.set_state(np.array(states[t]))
         if rng.random() < rearranged:
             environment.rearrange(rng)
-        cameras = tuple(note["cameras"]) if number < count else goals
         scene = environment.observe(cameras)
-        if number < count:
-            rows.setdefault("observation.state", []).append(scene.state)
+        rows.setdefault("observation.state", []).append(scene.state)
         rows.setdefault("achieved", []).append(scene.achieved)
-        objects = placed_objects(environment.spec.achieved_names).values()
         points = np.array([scene.achieved[list(at)] for at in objects], np.float64).reshape(-1, 3)
         for camera in cameras:
             rows.setdefault(IMAGES + camera, []).append(scene.images[camera])

@@ -169,10 +169,10 @@ class ImageEncoder(Encoder):
         config, (batch, steps) = self.config, inputs.state.shape[:2]
         heatmaps: dict[str, Tensor] = {}
         goal_heatmaps: dict[str, Tensor] = {}
-        frames = self._front_frames(inputs, keep, generator)  # (B, T or T + 1, h, w, C)
+        frames = self._front_frames(inputs, keep, generator)  # (B, T or T + 1, C, h, w)
         seen, maps = self.look(self.front, frames.flatten(0, 1))
         seen = seen.unflatten(0, (batch, -1))  # (B, T or T + 1, F)
-        goal = seen[:, -1] if self.fused or frames.shape[1] > steps else None
+        goal = seen[:, -1] if self.fused or config.goal_camera in inputs.goal_images else None
         cameras = {config.goal_camera: seen[:, :steps]}
         if maps is not None:
             maps = maps.unflatten(0, (batch, -1))
@@ -188,10 +188,15 @@ class ImageEncoder(Encoder):
         return _Seen(cameras, goal, heatmaps, goal_heatmaps)
 
     def _front_frames(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None) -> Tensor:
-        """(B, T, C, h, w) what the network of the goal's camera looks at: fused with the goal, or that is one more."""
+        """(B, T, C, h, w) what the network of the goal's camera looks at: fused with the goal, or that is one more.
+
+        A goal that is the observation itself, as a drawn scene's is, is looked at once.
+        """
         config, (batch, steps) = self.config, inputs.state.shape[:2]
         shown = inputs.images[config.goal_camera]  # (B, T, h, w, 3)
-        if config.goal_camera not in inputs.goal_images and not self.fused:
+        if not self.fused and (
+            config.goal_camera not in inputs.goal_images or _is_own_goal(inputs, config.goal_camera)
+        ):
             shown = random_shift(shown, config.shift, generator)
             return self._rows(pixels(shown.flatten(0, 1)), batch)
         wanted = inputs.goal_images.get(config.goal_camera, torch.zeros_like(shown[:, 0]))  # (B, h, w, 3)
@@ -210,6 +215,12 @@ class ImageEncoder(Encoder):
     def _rows(frames: Tensor, batch: int) -> Tensor:
         """(B T, ...) to (B, T, ...)."""
         return frames.view(batch, -1, *frames.shape[1:])
+
+
+def _is_own_goal(inputs: Observed, camera: str) -> bool:
+    """Whether the goal image is the observation itself, in the same memory."""
+    shown, wanted = inputs.images[camera], inputs.goal_images[camera]
+    return shown.shape[1] == 1 and shown.data_ptr() == wanted.data_ptr()
 
 
 class _Seen(NamedTuple):

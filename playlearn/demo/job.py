@@ -1,0 +1,239 @@
+"""`playlearn demo`: four stages, each done once.
+
+OUT/play/                   the play
+OUT/preview/report.html     what a shipped policy does, to be looked at meanwhile
+OUT/state/, OUT/encoder/    the two trainings, side by side
+OUT/practice/               a DAgger run of the state policy behind the encoder
+OUT/run/                    the policy that came of it, a run like any other
+OUT/eval/                   its evaluation on goal images
+OUT/demo.json               what each stage cost, written when it is done: a stage that stands there is not done again
+"""
+
+import json
+import sys
+import time
+import webbrowser
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from playlearn.config import atomic_write, git_revision, load_config, to_dict, versions
+from playlearn.demo.commands import Done, run_together
+from playlearn.demo.config import Cost, DemoConfig
+from playlearn.demo.reference import Reference, measure
+from playlearn.demo.verdict import judge_success, judge_training
+from playlearn.errors import PlaylearnError, UsageError
+from playlearn.evaluate import join_runs
+from playlearn.executor import available_cores
+from playlearn.train import TrainConfig
+
+RECORD = "demo.json"
+EVERY = 60.0  # seconds between two estimates of the time left
+STAGES = ("collect play", "learn", "practice", "reach goal images")
+
+
+def demo(config: DemoConfig, out: Path, *, steps: int | None = None, say: Callable[[str], None] | None = None) -> None:
+    """Run the demo into `out`; what is done there already is not done again.
+
+    steps: updates of every training, in place of their configs'.
+
+    Raises:
+        UsageError: `out` holds something else, or a config is missing.
+        PlaylearnError: a stage failed, or came to nothing; the message says which and why.
+        KeyboardInterrupt: on Ctrl-C; the same call goes on.
+    """
+    job = _Demo(config, out, steps, say or _print)
+    job.claim()
+    job.estimate()
+    job.collect()
+    job.learn()
+    job.practice()
+    job.evaluate()
+
+
+@dataclass(eq=False)
+class _Demo:
+    config: DemoConfig
+    out: Path
+    steps: int | None
+    say: Callable[[str], None]
+
+    def __post_init__(self) -> None:
+        self.record: dict[str, Any] = {}
+        self.reference = Reference(0.0, 0.0)
+        self.pace = 1.0  # how much longer the stages so far took than was estimated
+        self._said = self._began = time.monotonic()
+
+    def claim(self) -> None:
+        """Find what is done; raises UsageError where `out` was begun with another config."""
+        path, given = self.out / RECORD, {**json.loads(json.dumps(to_dict(self.config))), "steps": self.steps}
+        if path.is_file():
+            self.record = json.loads(path.read_text())
+            apart = [name for name in given if self.record["config"].get(name) != given[name]]
+            if apart:
+                raise UsageError(
+                    f"{self.out} was begun with another {', '.join(apart)}: give the same, or another --out"
+                )
+            return
+        if self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
+            raise UsageError(f"{self.out} is there already and is no demo: choose another --out")
+        self.out.mkdir(parents=True, exist_ok=True)
+        self.record = {"config": given, "versions": versions(), "git_revision": git_revision(), "stages": {}}
+
+    def estimate(self) -> None:
+        """Time the reference workload and say how long everything will take."""
+        self.say("timing this machine ...")
+        self.reference = measure()
+        self.record["reference"] = asdict(self.reference)
+        left = [name for name in STAGES if name not in self.record["stages"]]
+        for name in left:
+            self.say(f"  {name:<20} about {_minutes(self._estimated(name))}")
+        if left:
+            self.say(f"  {'all':<20} about {_minutes(sum(map(self._estimated, left)))}, on {available_cores()} cores")
+
+    def collect(self) -> None:
+        """Play; meanwhile a shipped policy shows what this will come to."""
+        config, seed = self.config, str(self.config.seed)
+        page = self.out / "preview" / "report.html"
+        play = ["collect", "--config", str(config.collect), "--out", str(self.out / "play"), "--seed", seed, "--resume"]
+        shown = [
+            "eval",
+            "--run",
+            str(config.preview),
+            "--suite",
+            str(config.suite),
+            "--goal",
+            "image",
+            "--episodes",
+            "2",
+        ]
+        shown += ["--alone", "--workers", "1", "--out", str(page.parent), f"--kind.tasks=[{config.preview_task}]"]
+        told = page.is_file()
+
+        def watch() -> None:
+            nonlocal told
+            if not told and page.is_file():
+                told = True
+                self.say(f"a film of a shipped policy, this is what yours will do: {page}")
+                if sys.stdout.isatty():
+                    webbrowser.open(page.resolve().as_uri())
+
+        commands = {"play": play} if told else {"play": play, "film": shown}
+        self._stage("collect play", commands, watch)
+
+    def learn(self) -> None:
+        """The state policy and the image encoder, side by side."""
+        commands = {
+            "policy": self._training(self.config.state, "state"),
+            "encoder": self._training(self.config.encoder, "encoder"),
+        }
+        self._stage("learn", commands)
+        levels = {"state": self.config.state_loss, "encoder": self.config.encoder_loss}
+        for name, path in {"state": self.config.state, "encoder": self.config.encoder}.items():
+            planned = load_config(TrainConfig, path).steps
+            words = {"state": "the state policy", "encoder": "the image encoder"}[name]
+            trouble = judge_training(words, self.out / name, levels[name], planned)
+            if trouble:
+                raise PlaylearnError(f"the demo ends here: {trouble}")
+
+    def practice(self) -> None:
+        """DAgger behind the encoder; then both become one run."""
+        folder = self.out / "practice"
+        command = [
+            "dagger",
+            "--config",
+            str(self.config.dagger),
+            "--run",
+            str(self.out / "state"),
+            "--out",
+            str(folder),
+        ]
+        command += [f"--encoder={self.out / 'encoder'}", f"--seed={self.config.seed}"]
+        command += ["--resume"] if (folder / "dagger.yaml").is_file() else []
+        command += [] if self.steps is None else [f"--updates={self.steps}"]
+        self._stage("practice", {"practice": command})
+        join_runs(folder, self.out / "encoder", self.out / "run")
+
+    def evaluate(self) -> None:
+        """Goal images that it has never seen; raises PlaylearnError where that is no better than chance."""
+        folder = self.out / "eval"
+        command = ["eval", "--run", str(self.out / "run"), "--suite", str(self.config.suite), "--goal", "image"]
+        command += ["--episodes", str(self.config.episodes), "--out", str(folder)]
+        self._stage("reach goal images", {"eval": command})
+        results = json.loads((folder / "results.json").read_text())
+        self._table(results)
+        trouble = judge_success(results)
+        if trouble:
+            raise PlaylearnError(trouble)
+
+    def _training(self, config: Path, name: str) -> list[str]:
+        run = self.out / name
+        command = ["train", "--config", str(config), "--store", str(self.out / "play"), "--out", str(run)]
+        command += [f"--seed={self.config.seed}"]
+        command += ["--resume"] if (run / "config.yaml").is_file() else []
+        return command + ([] if self.steps is None else [f"--steps={self.steps}"])
+
+    def _stage(self, name: str, commands: Mapping[str, Sequence[str]], watch: Callable[[], None] | None = None) -> None:
+        """Run a stage's commands, unless it is done; write down what it cost."""
+        if name in self.record["stages"]:
+            self.say(f"== {name}: done already")
+            return
+        left = STAGES[STAGES.index(name) + 1 :]
+        estimated = self._estimated(name)
+        self.say(f"== {name}: about {_minutes(estimated * self.pace)}")
+        began = self._said = time.monotonic()
+
+        def tick() -> None:
+            if watch is not None:
+                watch()
+            now = time.monotonic()
+            if now - self._said >= EVERY:
+                self._said = now
+                pace = max(self.pace, (now - began) / max(estimated, 1e-9))
+                rest = max(0.0, estimated * pace - (now - began)) + pace * sum(map(self._estimated, left))
+                self.say(f"demo | about {_minutes(rest)} left in all")
+
+        done = run_together(commands, self.say, tick)
+        self._check(name, done)
+        seconds = time.monotonic() - began
+        self.pace = seconds / max(estimated, 1e-9)
+        self.record["stages"][name] = {
+            "seconds": round(seconds, 1),
+            "estimated_seconds": round(estimated, 1),
+            "core_seconds": {key: round(one.core_seconds, 1) for key, one in done.items()},
+        }
+        atomic_write(self.out / RECORD, json.dumps(self.record, indent=2).encode())
+
+    def _check(self, name: str, done: Mapping[str, Done]) -> None:
+        for key, one in done.items():
+            if one.code not in (0, -15):
+                why = f"{key} ended with exit code {one.code} (it said why above)"
+                raise PlaylearnError(f"{name}: {why}; the same command goes on from there")
+
+    def _estimated(self, name: str) -> float:
+        """Seconds of a stage on this machine, by the reference workload."""
+        cost = self.config.costs.get(name, Cost())
+        core = cost.simulation * self.reference.simulation + cost.learning * self.reference.learning
+        return core / max(1.0, min(cost.cores, available_cores()))
+
+    def _table(self, results: Mapping[str, Any]) -> None:
+        stages = self.record["stages"]
+        for name, one in stages.items():
+            core = sum(one["core_seconds"].values())
+            self.say(f"{name:<20} {one['seconds']:6.0f} s  {core:6.0f} core seconds")
+        low, high = results["ci95"]
+        self.say(
+            f"goal images reached: {results['success_rate']:.1%} [{low:.1%}, {high:.1%}] of {results['episodes']}\n"
+            "privileged information used: the simulator drew scenes and told where things are in them, and a scripted "
+            "expert corrected the practice; the policy itself sees images and the robot's state\n"
+            f"the report: {self.out / 'eval' / 'report.html'}"
+        )
+
+
+def _minutes(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
+
+
+def _print(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)

@@ -1,0 +1,60 @@
+"""A fixed workload, timed on the machine at hand: what a stage costs is told as a multiple of it.
+
+Two parts, because processors differ in them: `simulation` steps PlayTable under its scripted player, `learning` makes
+updates of a small convolutional network. One thread, one core; a few seconds.
+"""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import nn
+
+from playlearn.policies.encoders.cameras import channels_last
+from playlearn.rollout import rollout
+from playlearn.tasks import PlayTableConfig
+from playlearn.teleop import PlayConfig
+
+STEPS, UPDATES = 200, 40
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Seconds that each part takes here: of wall clock, so that other work on the machine shows."""
+
+    simulation: float
+    learning: float
+
+
+def measure() -> Reference:
+    """Time both parts, each after a short warm-up."""
+    return Reference(_simulation(), _learning())
+
+
+def _simulation() -> float:
+    environment = PlayTableConfig().build()
+    player = PlayConfig().build(environment)
+    seconds = 0.0
+    for steps in (10, STEPS):
+        environment.reset(0)
+        began = time.perf_counter()
+        rollout([environment], player, [None], seeds=[0], max_steps=steps)
+        seconds = time.perf_counter() - began
+    return seconds
+
+
+def _learning() -> float:
+    generator = torch.Generator().manual_seed(0)
+    images = torch.rand(48, 3, 64, 96, generator=generator).to(memory_format=torch.channels_last)
+    convolutions = nn.Sequential(nn.Conv2d(3, 32, 8, 4, 2), nn.ReLU(), nn.Conv2d(32, 32, 3, 1, 1), nn.ReLU())
+    network = channels_last(nn.Sequential(convolutions, nn.Flatten(), nn.Linear(32 * 16 * 24, 64)))
+    optimizer = torch.optim.AdamW(network.parameters())
+    times = []
+    for _ in range(UPDATES):
+        began = time.perf_counter()
+        optimizer.zero_grad()
+        network(images).square().mean().backward()
+        optimizer.step()
+        times.append(time.perf_counter() - began)
+    return float(np.sum(times[UPDATES // 4 :])) * 4 / 3
