@@ -121,6 +121,13 @@ class PointWorld:
         image[(x > 0.9) & (y > 0.9)] = (250, 220, 60) if self._sim[6] else (80, 80, 80)
         return image
 
+    def rearrange(self, rng: np.random.Generator) -> None:
+        self._sim[4:6] = rng.uniform(-0.6, 0.6, 2)
+
+    def project(self, camera: str, points: Array) -> Array:
+        """As `render` lays out the plane."""
+        return points[:, :2] * (1, -1) / 1.2
+
     def renderer(self) -> str:
         return "numpy"
 
