@@ -28,9 +28,9 @@ def limit(threads: int = 1) -> None:
     """Let this process compute with so many threads, and the processes that it starts from now on.
 
     What is not imported yet reads the environment when it is; what is there already is told by its own functions:
-    torch, numba, and every OpenBLAS (these are found on Linux only). Operations beside each other (torch's inter-op
-    threads) always have one, as nothing here uses more; no variable says so, which is why this is called again once
-    torch is there. llvmpipe reads its variable when the first context is made.
+    torch, numba (for the calling thread), and every OpenBLAS (these are found on Linux only). Operations beside each
+    other (torch's inter-op threads) always have one, as nothing here uses more; no variable says so, which is why this
+    is called again once torch is there. llvmpipe reads its variable when the first context is made.
     """
     os.environ.update(environment(threads))
     torch, numba = sys.modules.get("torch"), sys.modules.get("numba")
@@ -39,10 +39,8 @@ def limit(threads: int = 1) -> None:
         if torch.get_num_interop_threads() != 1:
             with suppress(RuntimeError):  # who called before us has used them: they are there
                 torch.set_num_interop_threads(1)
-    if numba is not None:
-        numba.config.NUMBA_NUM_THREADS = (
-            threads  # read with the first parallel function; its own setter starts them all
-        )
+    if numba is not None and numba.config.NUMBA_NUM_THREADS > 1:  # as many as it was imported with; fewer can be used
+        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
     for library, before, after in _openblas():
         getattr(library, f"{before}set_num_threads{after}")(threads)
 

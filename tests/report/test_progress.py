@@ -51,7 +51,7 @@ def test_the_first_line_comes_soon_and_the_others_now_and_then(
 def test_the_start_of_workers_spoils_no_estimate(
     workers: int, clock: Clock, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """10 s of imports, pieces of 4 to 6 s in each worker: every estimate is right within one piece and a tenth."""
+    """10 s of imports, pieces of 4 to 6 s: every estimate is right to a piece and the fifth by which they differ."""
     monkeypatch.setattr(module, "EVERY", 0.0)
     begun, pieces = clock.now, 60
     free = [begun + 10.0] * workers
@@ -70,7 +70,7 @@ def test_the_start_of_workers_spoils_no_estimate(
             if done < pieces:
                 said.append((left(line), max(ends)[0] - end))
     for estimate, truth in said:
-        assert abs(estimate - truth) <= 6 + 0.1 * truth + (30 if truth > 120 else 0), "rounded to a minute above two"
+        assert abs(estimate - truth) <= 6 + 0.2 * truth + (30 if truth > 120 else 0), "rounded to a minute above two"
 
 
 def test_by_the_clock_alone_the_start_counts_no_more_after_the_second_piece(
