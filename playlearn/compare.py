@@ -18,7 +18,7 @@ import torch
 import yaml
 
 from playlearn.config import atomic_write, git_revision, load_config, save_config, to_dict, versions
-from playlearn.errors import PlaylearnError, UsageError
+from playlearn.errors import NotLearnedError, PlaylearnError, UsageError
 from playlearn.evaluate import evaluate
 from playlearn.executor import Job, LocalExecutorConfig
 from playlearn.policies import Policy
@@ -81,7 +81,10 @@ def compare(config: CompareConfig, out: Path, workers: int | None = None) -> lis
     ]
     rows: dict[tuple[str, int], Row] = {}
     failed: list[str] = []
-    with LocalExecutorConfig(workers=workers).build() as executor, Progress(out.name, len(jobs), "run") as progress:
+    with (
+        LocalExecutorConfig(workers=workers).build() as executor,
+        Progress(out.name, len(jobs), "run", workers=executor.workers) as progress,
+    ):
         for result in executor.run(jobs, keep_going=True):
             name, seed = result.key
             if result.error is None:
@@ -89,7 +92,7 @@ def compare(config: CompareConfig, out: Path, workers: int | None = None) -> lis
                 progress.say(f"{name}, seed {seed}: {result.value['success_rate']:.1%}")
             else:
                 failed.append(f"{name}, seed {seed}: {result.error}")
-            progress.to(len(rows) + len(failed))
+            progress.to(len(rows) + len(failed), seconds=result.seconds)
     if failed:
         raise PlaylearnError(f"{len(failed)} of {len(jobs)} runs failed, the rest is kept: " + "; ".join(failed))
     timed = [Job(name, _latency, {"path": _folder(out, name, config.seeds[0]) / "policy"}) for name in config.variants]
@@ -136,10 +139,12 @@ def _one(training: TrainConfig, folder: Path, compare: CompareConfig) -> Row:
         row: Row = json.loads(done.read_text())
         return row
     folder.mkdir(parents=True, exist_ok=True)
-    torch.set_num_threads(1)
     with (folder.parent / f"{folder.name}.log").open("a") as log, contextlib.redirect_stderr(log):
         began, resumed = time.process_time(), (folder / "config.yaml").is_file()
-        train(training, folder, resume=resumed)
+        try:
+            train(training, folder, resume=resumed)
+        except NotLearnedError as error:  # a comparison may hold one that learns nothing: its row says so
+            print(error, file=log, flush=True)
         core_seconds = None if resumed else round(time.process_time() - began, 1)  # of an interrupted one: not known
         results = evaluate(
             compare.suite,
@@ -199,7 +204,6 @@ def _mean(values: Iterable[float | None]) -> float | None:
 
 def _latency(path: Path) -> dict[str, float]:
     """Milliseconds for one chunk, observation to actions, on one core: median and 95th percentile."""
-    torch.set_num_threads(1)
     policy = Policy.load(path)
     inputs, generator = blank(policy), torch.Generator().manual_seed(0)
     times = []

@@ -152,7 +152,7 @@ def _watch(
     findings: dict[int, Finding] = {}
     tracks: dict[int, Track] = {}
     fps, done = 0.0, 0
-    with Progress(config.name, config.episodes, "episode") as progress:
+    with Progress(config.name, config.episodes, "episode", workers=executor.workers) as progress:
         for result in executor.run(jobs.values(), keep_going=True):
             cohort = jobs[result.key].kwargs["episodes"]
             if result.error is None:
@@ -165,7 +165,7 @@ def _watch(
             else:
                 raise result.error
             done += len(cohort)
-            progress.to(done)
+            progress.to(done, seconds=result.seconds)
     if not fps:
         raise PlaylearnError(f"every worker was lost; the last: {attempts[-1].reason}")
     return Watched(tuple(attempts), findings, tracks, fps)

@@ -31,3 +31,7 @@ class SimulationDiverged(PlaylearnError):
 
 class RenderError(PlaylearnError):
     """Images were asked for where no headless GL can be had."""
+
+
+class NotLearnedError(PlaylearnError):
+    """A training went through and left a policy that is no better than it began."""

@@ -24,10 +24,8 @@ from typing import Any, Protocol, Self
 import draccus
 
 from playlearn.errors import PlaylearnError, UsageError
+from playlearn.threads import environment, limit
 
-# LP_NUM_THREADS is that of llvmpipe, Mesa's software GL: 0 draws in the calling thread, without handing over.
-THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
-SINGLE_THREAD = {**dict.fromkeys(THREADS, "1"), "LP_NUM_THREADS": "0"}
 START = 120.0  # seconds beyond a job's own that a worker may take to be there and to import what it needs
 _BEGUN = None  # what a worker says before it does a job
 
@@ -73,7 +71,10 @@ class Result:
 
 
 class Executor(Protocol):
-    """Runs jobs somewhere. In a `with` block its workers live on from one `run` to the next."""
+    """Runs jobs somewhere, `workers` at a time. In a `with` block its workers live on from one `run` to the next."""
+
+    @property
+    def workers(self) -> int: ...
 
     def __enter__(self) -> Self: ...
 
@@ -128,7 +129,9 @@ def available_cores() -> int:
 
 
 class InProcessExecutor:
-    """One job after the other in this process: for tests and debuggers."""
+    """One job after the other in this process, on one thread as in any worker: for tests and debuggers."""
+
+    workers = 1
 
     def __enter__(self) -> Self:
         return self
@@ -138,6 +141,7 @@ class InProcessExecutor:
 
     def run(self, jobs: Iterable[Job], *, keep_going: bool = False) -> Iterator[Result]:
         for job in jobs:
+            limit()
             started = time.perf_counter()
             try:
                 value, error = job.function(**job.kwargs), None
@@ -152,7 +156,7 @@ class LocalExecutor:
     """`workers` spawned processes, each doing one job at a time; see `Executor.run`."""
 
     def __init__(self, workers: int, timeout: float | None = None, retries: int = 2) -> None:
-        self._workers = workers
+        self.workers = workers
         self._timeout = timeout
         self._retries = retries
         self._crew: list[_Worker] = []
@@ -193,7 +197,7 @@ class LocalExecutor:
 
     def _hand_out(self, pending: deque["_Task"], crew: list["_Worker"]) -> None:
         idle = [worker for worker in crew if worker.task is None]
-        while pending and (idle or len(crew) < self._workers):
+        while pending and (idle or len(crew) < self.workers):
             if not idle:
                 crew.append(_Worker())
                 idle.append(crew[-1])
@@ -247,7 +251,7 @@ class _Worker:
         context = multiprocessing.get_context("spawn")
         self.pipe, theirs = context.Pipe()
         self.process: SpawnProcess = context.Process(target=_serve, args=(theirs,), daemon=True)
-        with _environment(SINGLE_THREAD):
+        with _environment(environment()):
             self.process.start()
         theirs.close()
         self.task: _Task | None = None
@@ -319,6 +323,7 @@ def _serve(pipe: Connection) -> None:
         if message is None:
             return
         function, kwargs = message
+        limit()  # of what the function has imported, and whatever the job before has asked for
         _answer(pipe, _BEGUN)
         try:
             answer: tuple[Any, Exception | None] = (function(**kwargs), None)

@@ -12,7 +12,7 @@ import pytest
 
 from playlearn import cli
 from playlearn.cli import commands
-from playlearn.errors import StoreError, UsageError
+from playlearn.errors import NotLearnedError, StoreError, UsageError
 
 
 def python(*arguments: str) -> "subprocess.CompletedProcess[str]":
@@ -93,6 +93,7 @@ def test_a_missing_store_is_code_1_and_named(tmp_path: Path, capsys: pytest.Capt
     [
         (UsageError("wrong words"), 2, "wrong words"),
         (StoreError("broken store"), 1, "broken store"),
+        (NotLearnedError("nothing was learned"), 1, "nothing was learned"),
         (OSError(28, "No space left on device"), 1, "the disk is full"),
         (RuntimeError("IoError(Os { message: No space left on device })"), 1, "the disk is full"),
         (PermissionError(13, "Permission denied", "/x/y"), 1, "/x/y"),

@@ -11,7 +11,8 @@ import pytest
 
 from playlearn import executor
 from playlearn.errors import UsageError
-from playlearn.executor import SINGLE_THREAD, Job, LocalExecutorConfig, LostError
+from playlearn.executor import Job, LocalExecutorConfig, LostError
+from playlearn.threads import environment
 
 
 def draw(seed: int) -> float:
@@ -21,7 +22,7 @@ def draw(seed: int) -> float:
 
 
 def process_and_threads() -> tuple[int, dict[str, str | None]]:
-    return os.getpid(), {name: os.environ.get(name) for name in SINGLE_THREAD}
+    return os.getpid(), {name: os.environ.get(name) for name in environment()}
 
 
 def die_until(marks: str, times: int) -> int:
@@ -81,7 +82,7 @@ def test_workers_live_on_and_are_single_threaded() -> None:
     jobs = [Job(key=k, function=process_and_threads) for k in range(2)]
     (first, threads), (second, _) = (result.value for result in local(1).build().run(jobs))
     assert first == second != os.getpid()
-    assert threads == SINGLE_THREAD
+    assert threads == environment(1)
 
 
 def test_in_a_with_block_workers_live_on_between_runs() -> None:

@@ -5,7 +5,10 @@ import json
 import math
 import os
 import signal
+import threading
+from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Self
 
 import numpy as np
@@ -16,9 +19,11 @@ from safetensors.torch import load_file
 from playlearn import train as module
 from playlearn.config import from_dict, load_config
 from playlearn.data import statistics
-from playlearn.errors import CheckpointError, StoreError, UsageError
+from playlearn.errors import CheckpointError, NotLearnedError, StoreError, UsageError
 from playlearn.policies import Policy
 from playlearn.policies.normalise import pooled
+from playlearn.report.progress import Pace
+from playlearn.threads import limit
 from playlearn.train import TrainConfig, train
 from tests.policies.parts import small
 from tests.synthetic import make_store
@@ -115,7 +120,7 @@ def test_what_a_run_leaves(play: Path, tmp_path: Path) -> None:
     assert all(torch.equal(value, checkpoint[f"ema.module.{name}"]) for name, value in saved.items())
     assert any(not torch.equal(value, checkpoint[f"policy.{name}"]) for name, value in saved.items())
     steps = [(line["step"], next(name for name in line if "/" in name).partition("/")[0]) for line in metrics(out)]
-    assert steps == [(2, "train"), (2, "heldout"), (4, "train"), (4, "heldout")]
+    assert steps == [(0, "heldout"), (2, "train"), (2, "heldout"), (4, "train"), (4, "heldout")]
     assert not list(out.rglob("*.tmp"))
 
 
@@ -148,8 +153,10 @@ def test_the_learning_rate_warms_up_and_falls_to_zero(play: Path, tmp_path: Path
     assert rates[9] == pytest.approx(0.01 * 0.5 * (1 + math.cos(0.9 * math.pi)))
 
 
-def test_minutes_end_a_run_and_bend_its_schedule(play: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A clock that gains 3 s at each look lets one minute end after 20 updates of 3 s, long before 1000."""
+def test_minutes_end_a_run_and_bend_its_schedule(
+    play: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A clock that gains 3 s at each look lets one minute end after 20 updates of 3 s, long before 1000: it says so."""
     now = iter(range(0, 10**6, 3))
     monkeypatch.setattr(module.time, "monotonic", lambda: float(next(now)))
     monkeypatch.setattr(module, "Progress", Silent)
@@ -161,6 +168,9 @@ def test_minutes_end_a_run_and_bend_its_schedule(play: Path, tmp_path: Path, mon
     assert "heldout/loss" in last
     assert Policy.load(tmp_path / "run" / "policy").config.chunk == config(play).policy.chunk
     assert lines[-1]["train/lr"] < 0.05 * lines[2]["train/lr"]
+    outcome = json.loads((tmp_path / "run" / "run.json").read_text())["outcome"]
+    assert (outcome["steps"], outcome["of_steps"]) == (last["step"], 1000)
+    assert f"after {last['step']} of 1000 updates" in capsys.readouterr().err
 
 
 class Silent:
@@ -169,8 +179,114 @@ class Silent:
         return self
 
     def __exit__(self, *_: object) -> None: ...
-    def to(self, *_: object) -> None: ...
+    def to(self, *_: object, **__: object) -> None: ...
     def say(self, *_: object) -> None: ...
+
+
+def test_how_it_ended_is_said_and_kept(play: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The loss before the first update, after the last, and the least; a resumed run does not begin anew."""
+    out = tmp_path / "run"
+    train(config(play, steps=2), out)
+    train(config(play, steps=4), out, resume=True)
+    losses = {line["step"]: line["heldout/loss"] for line in metrics(out) if "heldout/loss" in line}
+    assert [line["step"] for line in metrics(out) if "heldout/loss" in line] == [0, 2, 4]
+    outcome = json.loads((out / "run.json").read_text())["outcome"]
+    assert outcome["heldout_loss_first"] == losses[0]
+    assert outcome["heldout_loss_last"] == losses[4]
+    assert outcome["heldout_loss_least"] == losses[outcome["least_at"]] == min(losses.values())
+    assert (outcome["steps"], outcome["of_steps"]) == (4, 4)
+    assert f"held-out loss: {losses[0]:.4g} before the first update, {losses[4]:.4g} after 4 updates" in (
+        capsys.readouterr().err
+    )
+
+
+def test_without_held_out_play_nothing_is_said_of_it_and_training_is_the_same(
+    play: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What is evaluated, before the first update too, draws on nothing that training draws on."""
+    settings = config(play, "state", "diffusion")
+    train(settings, tmp_path / "judged")
+    capsys.readouterr()
+    train(dataclasses.replace(settings, heldout_batches=0), tmp_path / "alone")
+    assert "held-out" not in capsys.readouterr().err
+    assert json.loads((tmp_path / "alone" / "run.json").read_text())["outcome"]["heldout_loss_last"] is None
+    judged, alone = (load_file(tmp_path / run / "policy" / "policy.safetensors") for run in ("judged", "alone"))
+    assert all(torch.equal(judged[name], alone[name]) for name in judged)
+
+
+def test_a_fresh_policy_that_learned_nothing_is_an_error_and_is_kept(
+    play: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A rate of 10 throws the weights far away. Who goes on from a trained policy may end where that was, or above."""
+    with pytest.raises(NotLearnedError, match=r"nothing was learned.* after 4 of 4 updates .*learning rate"):
+        train(config(play, lr=10.0, ema_decay=0.0), tmp_path / "run")
+    assert Policy.load(tmp_path / "run" / "policy").config.chunk == 4
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["outcome"]["steps"] == 4
+    train(config(play), tmp_path / "first")
+    train(config(play, lr=10.0, ema_decay=0.0, init=str(tmp_path / "first")), tmp_path / "second")
+    outcome = json.loads((tmp_path / "second" / "run.json").read_text())["outcome"]
+    assert outcome["heldout_loss_last"] > outcome["heldout_loss_first"]
+
+
+@pytest.fixture
+def threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[int]]:
+    """Those in force at each update, in the data's thread too; afterwards it is one again."""
+    seen: list[int] = []
+    update, batch = module._Run.update, module.PlayDataset.batch
+
+    def counted(run: Any, batch: Any) -> Any:
+        seen.append(torch.get_num_threads())
+        return update(run, batch)
+
+    def read(data: Any, *arguments: Any) -> Any:
+        if threading.current_thread() is not threading.main_thread():
+            seen.append(torch.get_num_threads())
+        return batch(data, *arguments)
+
+    monkeypatch.setattr(module._Run, "update", counted)
+    monkeypatch.setattr(module.PlayDataset, "batch", read)
+    yield seen
+    limit(1)
+
+
+def test_threads_are_chosen_once(play: Path, tmp_path: Path, threads: list[int]) -> None:
+    """One by default, whatever torch had; another number is another run."""
+    torch.set_num_threads(2)
+    train(config(play, steps=2), tmp_path / "one")
+    assert set(threads) == {1}
+    threads.clear()
+    train(config(play, steps=2, threads=2), tmp_path / "two")
+    assert set(threads) == {2}
+    assert len(threads) >= 4, "two updates, and the batches for them"
+    runs = {run: json.loads((tmp_path / run / "run.json").read_text())["threads"] for run in ("one", "two")}
+    assert runs == {"one": 1, "two": 2}
+    with pytest.raises(UsageError, match="another threads"):
+        train(config(play, steps=4), tmp_path / "two", resume=True)
+
+
+def test_a_run_is_resumed_with_the_threads_it_was_begun_with(play: Path, tmp_path: Path, threads: list[int]) -> None:
+    """One of before `threads` was a setting: run.json alone says what torch had chosen."""
+    train(config(play, steps=2), tmp_path / "run")
+    file = tmp_path / "run" / "run.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), "threads": 2}))
+    threads.clear()
+    train(config(play, steps=4), tmp_path / "run", resume=True)
+    assert set(threads) == {2}
+
+
+@pytest.mark.parametrize(("step", "minutes", "end"), [(0, None, 20), (7, None, 20), (19, None, 20), (6, 1, 16)])
+def test_time_left_counts_evaluations_and_checkpoints(step: int, minutes: float | None, end: int, play: Path) -> None:
+    """Updates of 3 s, evaluations of 5 s every 4, checkpoints of 7 s every 6; the last update has both. 60 s are 20."""
+    settings = config(play, steps=20, max_minutes=minutes, heldout_every=4, checkpoint_every=6)
+    paces = {"update": Pace(), "evaluate": Pace(), "save": Pace()}
+    for kind, seconds in (("update", 3.0), ("evaluate", 5.0), ("save", 7.0)):
+        paces[kind].add(seconds)
+    spent = 30.0 if minutes else 0.0
+    run = SimpleNamespace(config=settings, step=step, seconds=spent, paces=paces)
+    ahead = range(step + 1, end + 1)
+    evaluations = sum(number % 4 == 0 or number == end for number in ahead)
+    checkpoints = sum(number % 6 == 0 or number == end for number in ahead)
+    assert module._Run.left(run) == pytest.approx(3 * len(ahead) + 5 * evaluations + 7 * checkpoints)
 
 
 def test_a_run_folder_is_never_overwritten(play: Path, tmp_path: Path) -> None:
@@ -206,7 +322,7 @@ def test_a_torn_checkpoint_is_one_message(play: Path, tmp_path: Path) -> None:
         train(config(play, steps=6), out, resume=True)
 
 
-@pytest.mark.parametrize("field", ["batch_size", "steps", "lr", "max_minutes", "ema_decay"])
+@pytest.mark.parametrize("field", ["batch_size", "steps", "lr", "max_minutes", "ema_decay", "threads"])
 def test_numbers_out_of_range_name_their_field(field: str, play: Path) -> None:
     with pytest.raises(UsageError, match=field):
         config(play, **{field: -1})

@@ -6,6 +6,7 @@ from playlearn.bench.data import reading
 from playlearn.bench.grow import growing
 from playlearn.bench.render import rendering
 from playlearn.bench.sim import stepping
+from playlearn.bench.threads import loaded
 from playlearn.bench.train import training
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "benchmark",
     "collecting",
     "growing",
+    "loaded",
     "reading",
     "rendering",
     "run",

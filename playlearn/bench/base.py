@@ -1,16 +1,19 @@
-"""What a benchmark is: a function that gives figures. Peer and limit are measured in the same run, turn by turn."""
+"""What a benchmark is: a generator of figures. Peer and limit are measured in the same run, turn by turn."""
 
 import os
 import statistics
+import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 from playlearn.config.schema import nearest
-from playlearn.errors import UsageError
+from playlearn.errors import PlaylearnError, UsageError
+from playlearn.threads import limit
 
 
 @dataclass(frozen=True)
@@ -69,16 +72,15 @@ class Size:
     out: Path | None = None
 
 
-BENCHMARKS: dict[str, Callable[[Size], list[Figure]]] = {}
+Benchmark = Callable[[Size], Iterator[Figure]]
+BENCHMARKS: dict[str, Benchmark] = {}
 _BY_WORLD: set[str] = set()
 
 
-def benchmark(
-    name: str, *, by_world: bool = False
-) -> Callable[[Callable[[Size], list[Figure]]], Callable[[Size], list[Figure]]]:
-    """Register a function as the benchmark of this name; `by_world`: each of the worlds is measured by itself."""
+def benchmark(name: str, *, by_world: bool = False) -> Callable[[Benchmark], Benchmark]:
+    """Register a generator of figures as the benchmark of this name; `by_world`: each of the worlds by itself."""
 
-    def register(measure: Callable[[Size], list[Figure]]) -> Callable[[Size], list[Figure]]:
+    def register(measure: Benchmark) -> Benchmark:
         BENCHMARKS[name] = measure
         if by_world:
             _BY_WORLD.add(name)
@@ -88,9 +90,10 @@ def benchmark(
 
 
 def run(names: Sequence[str], size: Size, say: Callable[[Figure], None]) -> list[Figure]:
-    """The figures of the named benchmarks, or of all; `say` hears each as it comes.
+    """The figures of the named benchmarks, or of all; `say` hears each as soon as it is measured.
 
-    Each measurement has a process of its own: what one leaves behind (memory, OpenGL contexts) is no other's.
+    Each measurement has a process of its own, on one thread: what one leaves behind (memory, OpenGL contexts) is no
+    other's. What is being measured is said on stderr.
 
     Raises:
         UsageError: there is no benchmark of such a name.
@@ -98,22 +101,57 @@ def run(names: Sequence[str], size: Size, say: Callable[[Figure], None]) -> list
     for name in names:
         if name not in BENCHMARKS:
             raise UsageError(f"there is no benchmark {name!r}{nearest(name, tuple(BENCHMARKS))}")
-    # The software renderer would otherwise bring threads of its own, to whoever draws more at once.
-    os.environ.setdefault("LP_NUM_THREADS", "0")
+    limit()
     figures = []
     for name in names or tuple(BENCHMARKS):
         alone = [replace(size, worlds=(world,)) for world in size.worlds] if name in _BY_WORLD else [size]
         for one in alone:
-            with ProcessPoolExecutor(1, get_context("spawn"), _to_stderr) as process:
-                for figure in process.submit(BENCHMARKS[name], one).result():
+            measuring(f"{name}{f', {one.worlds[0]}' if name in _BY_WORLD else ''}: starting")
+            with closing(_apart(BENCHMARKS[name], one)) as rows:
+                for figure in rows:
                     say(figure)
                     figures.append(figure)
     return figures
 
 
-def _to_stderr() -> None:
-    """What MuJoCo and robosuite print is no part of the figures."""
-    os.dup2(2, 1)
+def measuring(what: str) -> None:
+    """Say on stderr what is being measured now."""
+    print(f"bench: {what} ...", file=sys.stderr, flush=True)
+
+
+def _apart(measure: Benchmark, size: Size) -> Generator[Figure]:
+    """The figures of a benchmark in a process of its own, each as it comes."""
+    context = get_context("spawn")
+    here, there = context.Pipe(duplex=False)
+    process = context.Process(target=_hand_over, args=(measure, size, there))
+    process.start()
+    there.close()
+    try:
+        while (figure := _next(here)) is not None:
+            yield figure
+        process.join()
+        if process.exitcode:
+            raise PlaylearnError(f"the benchmark's process ended with exit code {process.exitcode}; see above")
+    finally:  # whoever stops listening stops it
+        process.terminate()
+        process.join()
+        here.close()
+
+
+def _next(pipe: Connection) -> Figure | None:
+    """None where the other side has ended."""
+    try:
+        figure: Figure = pipe.recv()
+    except EOFError:
+        return None
+    return figure
+
+
+def _hand_over(measure: Benchmark, size: Size, pipe: Connection) -> None:
+    os.dup2(2, 1)  # what MuJoCo and robosuite print is no part of the figures
+    limit()  # of what the benchmark has imported
+    for figure in measure(size):
+        pipe.send(figure)
 
 
 def rates(contenders: Mapping[str, Callable[[], tuple[int, float]]], rounds: int) -> dict[str, float]:

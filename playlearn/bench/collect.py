@@ -2,11 +2,11 @@
 
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
-from playlearn.bench.base import Figure, Size, benchmark, rates, timed
+from playlearn.bench.base import Figure, Size, benchmark, measuring, rates, timed
 from playlearn.bench.worlds import SEED, SIDE, Pair, actions, pairs
 from playlearn.collect import CollectConfig, play
 from playlearn.collect import collect as collect_store
@@ -18,12 +18,13 @@ CAMERAS = ("front", "wrist")
 
 
 @benchmark("collect")
-def collecting(size: Size) -> list[Figure]:
+def collecting(size: Size) -> Iterator[Figure]:
     """PlayTable, with two cameras and with none, in one process; then two processes beside one."""
-    figures = []
     for cameras in (CAMERAS, ()):
         pair = next(pairs(("playtable",), images=bool(cameras)))
         config = _config(cameras, size)
+        seen = f"two cameras of {SIDE} px" if cameras else "no camera"
+        measuring(f"collect, {seen}")
         with tempfile.TemporaryDirectory() as folder:
             out = Path(folder) / "play"
             collect_store(_config(cameras, size, episodes=1), out, workers=0)
@@ -35,18 +36,15 @@ def collecting(size: Size) -> list[Figure]:
                 },
                 size.rounds,
             )
-        seen = f"two cameras of {SIDE} px" if cameras else "no camera"
-        figures.append(
-            Figure.beside(
-                f"collect, {seen}",
-                "steps/s",
-                measured,
-                "robosuite env.step, nothing stored",
-                "stepping and drawing alone",
-            )
+        yield Figure.beside(
+            f"collect, {seen}",
+            "steps/s",
+            measured,
+            "robosuite env.step, nothing stored",
+            "stepping and drawing alone",
         )
-    figures.append(_two_workers(size))
-    return figures
+    measuring("collect, two workers")
+    yield _two_workers(size)
 
 
 def _config(cameras: Sequence[str], size: Size, episodes: int = 1) -> CollectConfig:

@@ -17,7 +17,7 @@ from typing import Any
 
 import torch
 
-from playlearn.bench.base import Figure, Size, benchmark, rates
+from playlearn.bench.base import Figure, Size, benchmark, measuring, rates
 from playlearn.bench.worlds import SEED, SIDE
 from playlearn.collect import CollectConfig, collect
 from playlearn.data import Batch, DataConfig, PlayDataset
@@ -34,9 +34,9 @@ HORIZON = 5.0  # seconds
 
 
 @benchmark("data")
-def reading(size: Size) -> list[Figure]:
+def reading(size: Size) -> Iterator[Figure]:
     """One process, no workers; beside LeRobot's images, then its video."""
-    figures = []
+    measuring("data: play to read")
     with tempfile.TemporaryDirectory() as folder:
         store = _store(Path(folder) / "play", size)
         goals = UniformConfig(horizon=HORIZON)
@@ -45,6 +45,8 @@ def reading(size: Size) -> list[Figure]:
         kinds: dict[str, Codec | None] = {"images": None, "video": "av1"}
         for kind, videos in kinds.items():
             exported = Path(folder) / kind
+            named = f"goal batches of {EXAMPLES}, chunk {CHUNK}, {kind}"
+            measuring(named)
             export_lerobot(store, exported, videos=videos)
             measured = rates(
                 {
@@ -53,14 +55,11 @@ def reading(size: Size) -> list[Figure]:
                 },
                 size.rounds,
             )
-            named = f"goal batches of {EXAMPLES}, chunk {CHUNK}, {kind}"
-            figures.append(Figure.beside(named, "batches/s", measured, f"LeRobotDataset, {kind}"))
+            yield Figure.beside(named, "batches/s", measured, f"LeRobotDataset, {kind}")
+            measuring(f"as a store, {kind}")
             for epoch, rate in _epochs(exported, config, Path(folder) / "frames" / kind).items():
                 told = {"ours": rate, "peer": measured["peer"]}
-                figures.append(
-                    Figure.beside(f"as a store, {epoch}, {kind}", "batches/s", told, f"LeRobotDataset, {kind}")
-                )
-    return figures
+                yield Figure.beside(f"as a store, {epoch}, {kind}", "batches/s", told, f"LeRobotDataset, {kind}")
 
 
 def _store(out: Path, size: Size) -> NativeStore:

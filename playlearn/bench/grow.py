@@ -3,11 +3,12 @@
 import gc
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from playlearn.bench.base import Figure, Size, benchmark
+from playlearn.bench.base import Figure, Size, benchmark, measuring
 from playlearn.collect import CollectConfig, collect, play
 from playlearn.store import NativeStore
 from playlearn.tasks import PlayTableConfig
@@ -17,8 +18,9 @@ STEPS = 10
 
 
 @benchmark("grow")
-def growing(size: Size) -> list[Figure]:
+def growing(size: Size) -> Iterator[Figure]:
     """Episodes a second and memory of the last PART episodes of many; the peer is the first PART of the same store."""
+    measuring(f"{size.episodes} episodes of one store")
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "play"
         config = CollectConfig(environment=PlayTableConfig(), episodes=1, steps=STEPS)
@@ -36,15 +38,13 @@ def growing(size: Size) -> list[Figure]:
     # The median: one episode in ten draws its start state twice or more.
     first, last = (1 / float(np.median(own)) for own in (seconds[:part], seconds[-part:]))
     before, after = (float(np.median(own)) for own in (memory[part : 2 * part], memory[-part:]))
-    return [
-        Figure.beside(
-            f"episodes {size.episodes - part} to {size.episodes} of one store",
-            "episodes/s",
-            {"ours": last, "peer": first},
-            f"its first {part}",
-        ),
-        Figure.beside("memory by then", "MiB", {"ours": after, "peer": before}, f"after {2 * part} episodes"),
-    ]
+    yield Figure.beside(
+        f"episodes {size.episodes - part} to {size.episodes} of one store",
+        "episodes/s",
+        {"ours": last, "peer": first},
+        f"its first {part}",
+    )
+    yield Figure.beside("memory by then", "MiB", {"ours": after, "peer": before}, f"after {2 * part} episodes")
 
 
 def _resident() -> float:

@@ -1,7 +1,7 @@
 """Images a second on whatever draws here, beside robosuite's own, and how alike they look."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
-from playlearn.bench.base import Figure, Size, benchmark, rates
+from playlearn.bench.base import Figure, Size, benchmark, measuring, rates
 from playlearn.bench.worlds import SEED, SIDE, Pair, actions, pairs
 from playlearn.episode import Array
 from playlearn.sim.lean import VISUAL_GROUP
@@ -22,14 +22,14 @@ COMPARED = 8  # states whose images are compared
 
 
 @benchmark("render", by_world=True)
-def rendering(size: Size) -> list[Figure]:
+def rendering(size: Size) -> Iterator[Figure]:
     """PlayTable and Lift, two cameras of SIDE pixels, one process.
 
     The limit draws collision geoms only, plainly. The last figures are SSIM (1: the same) between our image
     and the full scene, drawn FINE times as large with every face, multisampling and shadows, averaged down.
     """
-    figures = []
     for pair in pairs(size.worlds, images=True):
+        measuring(f"{pair.name}: two {SIDE}x{SIDE} images")
         states = _walk(pair, size.steps)
         bare = _Plain(pair, COLLISION_GROUP, SIDE)
         measured = rates(
@@ -40,17 +40,15 @@ def rendering(size: Size) -> list[Figure]:
             },
             size.rounds,
         )
-        figures.append(
-            Figure.beside(
-                f"{pair.name}: two {SIDE}x{SIDE} images",
-                "images/s",
-                measured,
-                "robosuite render",
-                "collision geoms only",
-            )
+        yield Figure.beside(
+            f"{pair.name}: two {SIDE}x{SIDE} images",
+            "images/s",
+            measured,
+            "robosuite render",
+            "collision geoms only",
         )
-        figures += _likeness(pair, states, size.out)
-    return figures
+        measuring(f"{pair.name}: likeness")
+        yield from _likeness(pair, states, size.out)
 
 
 def ssim(one: Array, other: Array) -> float:
@@ -148,10 +146,9 @@ class _Plain:
         return image
 
 
-def _likeness(pair: Pair, states: Sequence[Array], out: Path | None) -> list[Figure]:
+def _likeness(pair: Pair, states: Sequence[Array], out: Path | None) -> Iterator[Figure]:
     fine = _Plain(pair, VISUAL_GROUP, FINE * SIDE, plain=False)
     chosen = [states[i] for i in np.unique(np.linspace(0, len(states) - 1, COMPARED).astype(int))]
-    figures = []
     strips = []
     for camera in pair.cameras:
         ours, full = [], []
@@ -160,13 +157,12 @@ def _likeness(pair: Pair, states: Sequence[Array], out: Path | None) -> list[Fig
             ours.append(pair.ours.render(camera, SIDE, SIDE))
             full.append(_averaged(fine.image(camera)))
         alike = float(np.mean([ssim(one, other) for one, other in zip(ours, full, strict=True)]))
-        figures.append(Figure(f"{pair.name}: likeness, {camera}", alike, "SSIM"))
+        yield Figure(f"{pair.name}: likeness, {camera}", alike, "SSIM")
         strips += [np.concatenate(ours[:4], axis=1), np.concatenate(full[:4], axis=1)]
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         sheet = Image.fromarray(np.concatenate(strips))
         sheet.resize((2 * sheet.width, 2 * sheet.height), Image.Resampling.NEAREST).save(out / f"{pair.name}.png")
-    return figures
 
 
 def _averaged(image: Array) -> Array:

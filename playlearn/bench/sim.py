@@ -1,25 +1,23 @@
 """Control steps a second without images: ours, robosuite's `env.step`, and what physics alone would allow."""
 
 import time
+from collections.abc import Iterator
 from functools import partial
 
 import mujoco
 
-from playlearn.bench.base import Figure, Size, benchmark, rates, timed
+from playlearn.bench.base import Figure, Size, benchmark, measuring, rates, timed
 from playlearn.bench.worlds import SEED, Pair, actions, pairs
 
 
 @benchmark("sim", by_world=True)
-def stepping(size: Size) -> list[Figure]:
+def stepping(size: Size) -> Iterator[Figure]:
     """PlayTable and Lift, one process; the limit is `mj_step` alone, from the very states that ours passes through."""
-    figures = []
     for pair in pairs(size.worlds, images=False):
+        measuring(f"{pair.name}: control steps")
         measured = rates({"ours": partial(_ours, pair, size), "peer": partial(_peer, pair, size)}, size.rounds)
         measured["limit"] = _limit(pair, size)
-        figures.append(
-            Figure.beside(f"{pair.name}: control steps", "steps/s", measured, "robosuite env.step", "mj_step alone")
-        )
-    return figures
+        yield Figure.beside(f"{pair.name}: control steps", "steps/s", measured, "robosuite env.step", "mj_step alone")
 
 
 def _ours(pair: Pair, size: Size) -> tuple[int, float]:

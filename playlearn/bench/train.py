@@ -11,19 +11,19 @@ they are stored; ours keeps an average of its weights besides.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from playlearn.bench.base import Figure, Size, benchmark, rates
+from playlearn.bench.base import Figure, Size, benchmark, measuring, rates
 from playlearn.bench.worlds import SEED, SIDE
 from playlearn.data import Batch
 from playlearn.policies import Policy, PolicyConfig, PolicySpec
 from playlearn.policies.ema import averaged
-from playlearn.policies.encoders import CNNConfig, ImageConfig, TorchvisionConfig
+from playlearn.policies.encoders import CNNConfig, TorchvisionConfig
 from playlearn.policies.heads import DiffusionConfig
 
 EXAMPLES = 8  # of an update; LeRobot's own default too
@@ -33,22 +33,22 @@ CAMERAS, GOAL_CAMERA = ("front", "wrist"), "front"
 
 
 @benchmark("train")
-def training(size: Size) -> list[Figure]:
+def training(size: Size) -> Iterator[Figure]:
     """The same vision network in both (ResNet-18, group norm); then our own in ours, its denoiser widened to match."""
-    torch.set_num_threads(1)  # of the process that is this benchmark's own
     resnet = TorchvisionConfig(cameras=CAMERAS, goal_camera=GOAL_CAMERA, fusion="late")
     cnn = CNNConfig(cameras=CAMERAS, goal_camera=GOAL_CAMERA, fusion="late")
-    return [
-        _figure("ResNet-18 in both", _ours(resnet, DiffusionConfig(noise_draws=1)), _peer((128, 256, 512), 128), size),
-        _figure("our CNN, ResNet-18", _ours(cnn, DiffusionConfig(width=1280)), _peer((64, 128, 256), 64), size),
-    ]
+    resnets = PolicyConfig(encoder=resnet, head=DiffusionConfig(noise_draws=1), chunk=CHUNK)
+    wide = PolicyConfig(encoder=cnn, head=DiffusionConfig(width=1280), chunk=CHUNK)
+    yield _figure("ResNet-18 in both", built(resnets), _peer((128, 256, 512), 128), size)
+    yield _figure("our CNN, ResNet-18", built(wide), _peer((64, 128, 256), 64), size)
 
 
 def _figure(what: str, ours: Policy, peer: Any, size: Size) -> Figure:
+    measuring(f"train, {what}")
     updates, examples = max(1, size.steps // 50), min(EXAMPLES, size.steps)
     measured = rates(
         {
-            "ours": partial(_turn, _our_update(ours, examples), updates),
+            "ours": partial(_turn, an_update(ours, examples), updates),
             "peer": partial(_turn, _peer_update(peer, examples), updates),
         },
         size.rounds,
@@ -69,7 +69,9 @@ def _turn(update: Callable[[], None], updates: int) -> tuple[int, float]:
     return updates, time.process_time() - began
 
 
-def _ours(encoder: ImageConfig, head: DiffusionConfig) -> Policy:
+def built(config: PolicyConfig) -> Policy:
+    """A policy of PlayTable's numbers and two cameras."""
+
     def names(kind: str, count: int) -> tuple[str, ...]:
         return tuple(f"{kind}.{i}" for i in range(count))
 
@@ -80,11 +82,11 @@ def _ours(encoder: ImageConfig, head: DiffusionConfig) -> Policy:
         fps=20.0,
         cameras=dict.fromkeys(CAMERAS, (SIDE, SIDE)),
     )
-    return PolicyConfig(encoder=encoder, head=head, chunk=CHUNK).build(spec, None, SEED)
+    return config.build(spec, None, SEED)
 
 
-def _our_update(policy: Policy, examples: int) -> Callable[[], None]:
-    """As `playlearn train` makes one."""
+def an_update(policy: Policy, examples: int) -> Callable[[], None]:
+    """As `playlearn train` makes one, on so many examples held in memory."""
     optimizer = torch.optim.AdamW(policy.parameters(), fused=True)
     ema, generator = averaged(policy, 0.999), torch.Generator().manual_seed(SEED)
     images = dict.fromkeys(CAMERAS, torch.randint(256, (examples, 1, SIDE, SIDE, 3), dtype=torch.uint8))
@@ -96,8 +98,8 @@ def _our_update(policy: Policy, examples: int) -> Callable[[], None]:
         goal_achieved=torch.randn(examples, ACHIEVED),
         goal_state=torch.randn(examples, STATE),
         goal_images={GOAL_CAMERA: images[GOAL_CAMERA][:, 0]},
-        action=torch.rand(examples, CHUNK, ACTION) * 2 - 1,
-        action_mask=torch.ones(examples, CHUNK, dtype=torch.bool),
+        action=torch.rand(examples, policy.config.chunk, ACTION) * 2 - 1,
+        action_mask=torch.ones(examples, policy.config.chunk, dtype=torch.bool),
         steps_to_goal=torch.ones(examples, dtype=torch.int64),
     )
 

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from playlearn.cli.commands import FAILED, INTERRUPTED, USAGE
 from playlearn.cli.parser import parse
 from playlearn.errors import PlaylearnError, UsageError
+from playlearn.threads import limit
 
 DEBUG = "PLAYLEARN_DEBUG"
 
@@ -24,6 +25,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         arguments = parse(argv)
     except SystemExit as stop:  # argparse has said why
         return int(stop.code or 0)
+    limit()  # before anything numerical is imported
     try:
         with _termination_as_interrupt():
             code: int = arguments.command(arguments)

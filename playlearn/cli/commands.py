@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from playlearn.errors import UsageError
+from playlearn.threads import limit
 
 DONE, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
 
@@ -89,6 +90,7 @@ def train(arguments: argparse.Namespace) -> int:
 def evaluate(arguments: argparse.Namespace) -> int:
     from playlearn.evaluate import evaluate as run
 
+    limit()  # of what that has imported, too
     results = run(
         arguments.suite,
         run=arguments.run,
@@ -118,6 +120,7 @@ def dagger(arguments: argparse.Namespace) -> int:
     from playlearn.dagger import dagger as run
     from playlearn.dagger.results import line
 
+    limit()
     config = load_config(DaggerConfig, arguments.config, arguments.overrides)
     results = run(config, arguments.run, arguments.out, workers=arguments.workers, resume=arguments.resume)
     if arguments.json:
@@ -143,6 +146,7 @@ def diagnose(arguments: argparse.Namespace) -> int:
     from playlearn.diagnose import diagnose as run
     from playlearn.diagnose import said
 
+    limit()
     results = run(
         arguments.run,
         arguments.suite,
@@ -283,6 +287,7 @@ def compare(arguments: argparse.Namespace) -> int:
     from playlearn.config import load_config
     from playlearn.report.compared import table
 
+    limit()
     config = load_config(CompareConfig, arguments.config, arguments.overrides)
     rows = run(config, arguments.out, workers=arguments.workers)
     print(json.dumps(rows, indent=2) if arguments.json else table(rows), end="\n" if arguments.json else "")

@@ -158,7 +158,9 @@ def _parser() -> argparse.ArgumentParser:
     _json(made)
 
     made = verb(commands.bench, "bench", "measure speed beside robosuite, LeRobot and the limit, in one run")
-    made.add_argument("name", nargs="*", metavar="NAME", help="sim, render, collect, grow, train, data (default: all)")
+    made.add_argument(
+        "name", nargs="*", metavar="NAME", help="sim, render, collect, grow, train, threads, data (default: all)"
+    )
     made.add_argument("--out", type=Path, metavar="DIR", help="write compared images here")
     made.add_argument("--quick", action="store_true", help="seconds instead of minutes; the figures say little")
     _json(made)

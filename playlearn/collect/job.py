@@ -123,7 +123,7 @@ def _run(
     ended: dict[str, int] = {}
     failed: list[Result] = []
     seeds = {job.key: job.seed for job in jobs}
-    with config.build() as executor, Progress(title, total, "episode", total - len(jobs)) as progress:
+    with config.build() as executor, Progress(title, total, "episode", total - len(jobs), executor.workers) as progress:
         for count, result in enumerate(executor.run(jobs, keep_going=True), 1):
             name = f"episode {result.key} (seed {seeds[result.key]})"
             if isinstance(result.error, _OF_ALL):
@@ -138,7 +138,7 @@ def _run(
                 if result.tries > 1:
                     progress.say(f"{name} was played again: a worker died or hung, {result.tries - 1} times")
             in_a_row = in_a_row + 1 if result.error is not None else 0
-            progress.to(total - len(jobs) + count)
+            progress.to(total - len(jobs) + count, seconds=result.seconds)
             if in_a_row >= _GIVE_UP:
                 break
     made, seconds = sum(ended.values()), time.perf_counter() - seconds

@@ -57,10 +57,10 @@ def render_store(
         ]
         with (
             LocalExecutorConfig(workers=workers).build() as executor,
-            Progress(f"render {out}", len(indices), "episode", begun=len(indices) - len(jobs)) as progress,
+            Progress(f"render {out}", len(indices), "episode", len(indices) - len(jobs), executor.workers) as progress,
         ):
-            for count, _ in enumerate(executor.run(jobs), len(indices) - len(jobs) + 1):
-                progress.to(count)
+            for count, result in enumerate(executor.run(jobs), len(indices) - len(jobs) + 1):
+                progress.to(count, seconds=result.seconds)
 
 
 def redraw(source: str, out: str, index: int, sizes: Mapping[str, Sequence[int]]) -> None:

@@ -66,10 +66,12 @@ def make_corrections(
         return
     with (
         LocalExecutorConfig(workers=workers).build() as executor,
-        Progress(f"corrections {folder}", len(numbers), "episode", begun=len(numbers) - len(jobs)) as progress,
+        Progress(
+            f"corrections {folder}", len(numbers), "episode", len(numbers) - len(jobs), executor.workers
+        ) as progress,
     ):
-        for count, _ in enumerate(executor.run(jobs), len(numbers) - len(jobs) + 1):
-            progress.to(count)
+        for count, result in enumerate(executor.run(jobs), len(numbers) - len(jobs) + 1):
+            progress.to(count, seconds=result.seconds)
 
 
 def correct(source: str, out: str, index: int) -> None:

@@ -116,7 +116,7 @@ def _attempt(config: SuiteConfig, contenders: Sequence[Contender], expert: Exper
         for cohort in config.cohorts()
     }
     gathered = _Gathered()
-    with Progress(config.name, config.episodes, "episode") as progress:
+    with Progress(config.name, config.episodes, "episode", workers=executor.workers) as progress:
         for result in executor.run(jobs.values(), keep_going=True):
             if result.error is None:
                 gathered.attempts += result.value.attempts
@@ -130,7 +130,7 @@ def _attempt(config: SuiteConfig, contenders: Sequence[Contender], expert: Exper
             main = ends([attempt for attempt in gathered.attempts if attempt.policy == contenders[0].name])
             keep = {attempt.episode for attempt in to_show(main, SHOWN_SUCCESSES, SHOWN_FAILURES)}
             gathered.tracks = {episode: track for episode, track in gathered.tracks.items() if episode in keep}
-            progress.to(len(main))
+            progress.to(len(main), seconds=result.seconds)
     return gathered
 
 

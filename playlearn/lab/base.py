@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from playlearn.config import atomic_write, git_revision, load_config, save_config, to_dict, versions
 from playlearn.errors import UsageError
 from playlearn.policies.heads import Head, HeadConfig
+from playlearn.threads import limit
 
 WIDTH = 64  # of the features that a head is given
 
@@ -73,6 +74,7 @@ def run(experiment: Experiment, out: Path, say: Callable[[str], None]) -> Rows:
     """
     if (out / "results.json").exists():
         raise UsageError(f"{out} holds results already: remove them, or choose another --out")
+    limit()
     began = time.perf_counter()
     rows = experiment.measure(say)
     out.mkdir(parents=True, exist_ok=True)

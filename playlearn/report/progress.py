@@ -1,26 +1,66 @@
-"""How far a long job is: a bar on a terminal, a plain line now and then on a pipe."""
+"""How far a long job is, and how long it will take: a bar on a terminal, a plain line now and then on a pipe."""
 
 import math
+import statistics
 import sys
 import time
+from collections import deque
 from typing import Self
 
 from tqdm import tqdm
 
-EVERY = 15.0  # seconds between two lines on a pipe
+SOON, EVERY = 5.0, 15.0  # seconds until the first line on a pipe, and between two of them
+_RECENT = 100  # measurements that a pace is taken from
+_ODD = 10  # times the median: what took longer counts as this much
+
+
+class Pace:
+    """Seconds that a unit of work takes: the mean of the last ones, the first `warmup` and odd ones left aside.
+
+    The first ones compile, import and build what the others find there; they count as long as nothing else is known.
+    One that was held up (the machine slept, a disk hung) says nothing about those to come.
+    """
+
+    def __init__(self, warmup: int = 0) -> None:
+        self._cold: deque[float] = deque(maxlen=max(warmup, 1))
+        self._warm: deque[float] = deque(maxlen=_RECENT)
+        self._left = warmup
+
+    def add(self, seconds: float) -> None:
+        (self._cold if self._left > 0 else self._warm).append(seconds)
+        self._left -= 1
+
+    def seconds(self) -> float:
+        """NaN while nothing is known."""
+        known = self._warm or self._cold
+        if not known:
+            return math.nan
+        most = _ODD * statistics.median(known)
+        return statistics.fmean(min(seconds, most) for seconds in known)
 
 
 class Progress:
-    """Counts towards `total` in `unit`s; a context manager. begun: what an earlier, interrupted run had done."""
+    """Counts towards `total` in `unit`s; a context manager.
 
-    def __init__(self, name: str, total: float, unit: str, begun: float = 0.0) -> None:
-        self._name, self._total, self._unit = name, total, unit
-        self._begun = self._done = begun
-        self._started = self._said = time.monotonic()
-        percent = unit == "%"
-        form = "{desc}: {percentage:3.0f} %|{bar}| {elapsed} < {remaining} {postfix}" if percent else None
+    begun: what an earlier, interrupted run had done. workers: how many work side by side.
+    """
+
+    def __init__(self, name: str, total: float, unit: str, begun: float = 0.0, workers: int = 1) -> None:
+        self._name, self._total, self._unit, self._workers = name, total, unit, max(workers, 1)
+        self._done = begun
+        self._started = time.monotonic()
+        self._next = self._started + SOON
+        self._worked = Pace(warmup=self._workers)  # of a unit; each worker's first piece holds what it builds once
+        self._begun = (self._started, begun)
+        self._marks: deque[tuple[float, float]] = deque(maxlen=_RECENT)  # when so much was done
+        counted = "{percentage:3.0f} %" if unit == "%" else "{n_fmt} of {total_fmt} " + unit + "s"
         self._bar = tqdm(
-            total=total, initial=begun, unit=unit, desc=name, disable=not sys.stderr.isatty(), bar_format=form
+            total=total,
+            initial=begun,
+            unit=unit,
+            desc=name,
+            disable=not sys.stderr.isatty(),
+            bar_format="{desc}: " + counted + " |{bar}| {elapsed}{postfix}",
         )
 
     def __enter__(self) -> Self:
@@ -29,17 +69,26 @@ class Progress:
     def __exit__(self, *_: object) -> None:
         self._bar.close()
 
-    def to(self, done: float, note: str = "") -> None:
-        """`done` of `total` is done; `note` is shown beside it."""
+    def to(self, done: float, note: str = "", *, seconds: float | None = None, left: float | None = None) -> None:
+        """`done` of `total` is done; `note` is shown beside it.
+
+        seconds: what a worker took for the piece that is now done. left: until the end, in seconds, by one who knows
+        better.
+        """
+        now, before = time.monotonic(), self._done
         self._done = min(done, self._total)
+        if self._done > before:
+            self._marks.append((now, self._done))
+            if seconds is not None:
+                self._worked.add(seconds / (self._done - before))
+        finished = self._done >= self._total
+        shown = f"{note + ', ' if note else ''}{self._time(now, finished, left)}"
         if not self._bar.disable:
-            self._bar.set_postfix_str(note, refresh=False)
+            self._bar.set_postfix_str(shown, refresh=False)
             self._bar.update(self._done - self._bar.n)
-            return
-        now = time.monotonic()
-        if now - self._said >= EVERY or self._done >= self._total:
-            self._said = now
-            self.say(f"{self._name}: {self._share()}, {note + ', ' if note else ''}{self._left(now):.0f} s left")
+        elif now >= self._next or finished:
+            self._next = now + EVERY
+            self.say(f"{self._name}: {self._share()}, {shown}")
 
     def say(self, line: str) -> None:
         """A line of its own, above the bar."""
@@ -51,6 +100,23 @@ class Progress:
     def _share(self) -> str:
         return f"{self._done:.0f} %" if self._unit == "%" else f"{self._done:.0f} of {self._total:.0f} {self._unit}s"
 
-    def _left(self, now: float) -> float:
-        made = self._done - self._begun
-        return (now - self._started) / made * (self._total - self._done) if made > 0 else math.nan
+    def _time(self, now: float, finished: bool, left: float | None) -> str:
+        if finished:
+            return f"took {spoken(now - self._started)}"
+        left = self._left() if left is None else left
+        return "time left not known yet" if math.isnan(left) else f"about {spoken(left)} left"
+
+    def _left(self) -> float:
+        rest, worked = self._total - self._done, self._worked.seconds()
+        if not math.isnan(worked):
+            return rest * worked / self._workers
+        if not self._marks:
+            return math.nan
+        # By the clock, from the first piece on: before it lies the start.
+        (since, had), (last, has) = self._begun if len(self._marks) == 1 else self._marks[0], self._marks[-1]
+        return rest * (last - since) / (has - had)
+
+
+def spoken(seconds: float) -> str:
+    """As people say it: in minutes above two of them."""
+    return f"{seconds / 60:.0f} min" if seconds > 120 else f"{seconds:.0f} s"

@@ -3,6 +3,9 @@
 import dataclasses
 import json
 import math
+import os
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +16,7 @@ from playlearn.bench.base import rates
 from playlearn.bench.render import ssim
 from playlearn.bench.worlds import actions
 from playlearn.cli import main
-from playlearn.errors import UsageError
+from playlearn.errors import PlaylearnError, UsageError
 
 TINY = Size(steps=2, rounds=1, episodes=4, worlds=("lift",))
 
@@ -36,6 +39,58 @@ def test_every_figure_is_beside_its_peer_and_its_limit(name: str, tmp_path: Path
         assert len(alike) == 2  # two cameras
         assert min(figure.value for figure in alike) > 0.85  # a wrong light or a missing part is worse than this
         assert {path.name for path in tmp_path.iterdir()} == {"lift.png"}
+
+
+def two_rows(size: Size) -> Iterator[Figure]:
+    """The second is measured only after somebody has heard the first."""
+    yield Figure("first", os.getpid(), "process")
+    assert size.out is not None
+    until = time.monotonic() + 60
+    while not (size.out / "heard").exists() and time.monotonic() < until:
+        time.sleep(0.02)
+    yield Figure("second", float((size.out / "heard").exists()), "heard")
+
+
+def breaks(_size: Size) -> Iterator[Figure]:
+    yield Figure("first", 1.0, "row")
+    raise ZeroDivisionError("in the benchmark")
+
+
+def test_each_row_is_shown_as_it_is_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Across the border of its process, within one benchmark; meanwhile stderr says what is going on."""
+    monkeypatch.setitem(BENCHMARKS, "rows", two_rows)
+    shown = run(["rows"], Size(out=tmp_path), lambda _: (tmp_path / "heard").touch())
+    assert [figure.name for figure in shown] == ["first", "second"]
+    assert shown[0].value != os.getpid()
+    assert shown[1].value == 1.0, "it had been heard before the second was measured"
+    assert "bench: rows" in capfd.readouterr().err
+
+
+def test_one_that_breaks_is_told_and_what_it_had_measured_is_shown(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(BENCHMARKS, "rows", breaks)
+    heard: list[Figure] = []
+    with pytest.raises(PlaylearnError, match="exit code 1"):
+        run(["rows"], Size(), heard.append)
+    assert [figure.name for figure in heard] == ["first"]
+    assert "ZeroDivisionError: in the benchmark" in capfd.readouterr().err
+
+
+def test_whoever_stops_listening_leaves_no_process_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(BENCHMARKS, "rows", two_rows)
+    processes: list[int] = []
+
+    def leave(figure: Figure) -> None:
+        processes.append(int(figure.value))
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(["rows"], Size(out=tmp_path), leave)
+    with pytest.raises(ProcessLookupError):
+        os.kill(processes[0], 0)
 
 
 def test_rates_are_medians_and_the_first_turn_only_warms_up() -> None:

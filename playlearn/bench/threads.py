@@ -1,0 +1,78 @@
+"""Updates a second while something else runs on the machine: what `playlearn train` chooses, beside one thread.
+
+Another program is one process that never waits. The policy is of states and small, as in
+configs/train/playtable_state_diffusion.yaml, and its batch is held in memory. A second of the wall's clock, not of the
+processor's: what is lost by waiting for a thread that is not being run is the matter.
+"""
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+
+from playlearn.bench.base import Figure, Size, benchmark, measuring, rates
+from playlearn.bench.train import an_update, built
+from playlearn.executor import available_cores
+from playlearn.policies import PolicyConfig
+from playlearn.policies.encoders import StateConfig
+from playlearn.policies.heads import DiffusionConfig
+from playlearn.policies.trunks import TransformerConfig
+from playlearn.threads import limit
+from playlearn.train import TrainConfig
+
+EXAMPLES = 128
+POLICY = PolicyConfig(
+    encoder=StateConfig(hidden=128),
+    trunk=TransformerConfig(width=64, layers=2),
+    head=DiffusionConfig(width=256, blocks=2, sample_steps=8, noise_draws=4),
+    chunk=8,
+)
+# Until it is killed, or left alone by a parent that was killed itself.
+_BUSY = "import os; own = os.getppid(); print(flush=True)\nwhile os.getppid() == own: pass"
+
+
+@benchmark("threads")
+def loaded(size: Size) -> Iterator[Figure]:
+    """Our default and torch's own (a thread a core), each beside one thread; the limit is one thread undisturbed."""
+    ours, cores = TrainConfig().threads, available_cores()
+    measuring("train beside a busy process")
+    update = an_update(built(POLICY), min(EXAMPLES, size.steps))
+    updates = max(1, size.steps // 10)
+    turns = {
+        "ours": partial(_beside, update, updates, ours),
+        "cores": partial(_beside, update, updates, cores),
+        "peer": partial(_beside, update, updates, 1),
+        "limit": partial(_turn, update, updates, 1),
+    }
+    measured = rates(turns, size.rounds)
+    for name, own in ((f"our default, {ours} thread{'s' if ours > 1 else ''}", "ours"), (f"{cores} threads", "cores")):
+        told = {**measured, "ours": measured[own]}
+        yield Figure.beside(f"train beside a busy process, {name}", "updates/s", told, "one thread", "one undisturbed")
+
+
+def _turn(update: Callable[[], None], updates: int, threads: int) -> tuple[int, float]:
+    limit(threads)
+    update()  # its threads are started, or sent to sleep
+    began = time.perf_counter()
+    for _ in range(updates):
+        update()
+    return updates, time.perf_counter() - began
+
+
+def _beside(update: Callable[[], None], updates: int, threads: int) -> tuple[int, float]:
+    with _busy():
+        return _turn(update, updates, threads)
+
+
+@contextmanager
+def _busy() -> Iterator[None]:
+    """One process that never waits."""
+    with subprocess.Popen([sys.executable, "-c", _BUSY], stdout=subprocess.PIPE) as other:
+        try:
+            if other.stdout is not None:
+                other.stdout.readline()  # it is there
+            yield
+        finally:
+            other.kill()

@@ -1,0 +1,90 @@
+"""What came of a training run, in numbers for a program and in sentences for a person."""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Self
+
+from playlearn.report.progress import spoken
+
+LOSS = "heldout/loss"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """heldout_loss_*: of the averaged weights on held-out play, None where none was held out.
+
+    first: before the first update (of an older run that lacks it: the first that was measured, at update `first_at`).
+    least: the lowest, at update `least_at`. steps: updates that were made, of_steps: that the config asks for.
+    seconds: that the updates took.
+    """
+
+    steps: int
+    of_steps: int
+    seconds: float
+    heldout_loss_first: float | None = None
+    first_at: int | None = None
+    heldout_loss_last: float | None = None
+    heldout_loss_least: float | None = None
+    least_at: int | None = None
+
+    @classmethod
+    def of(cls, metrics: Iterable[Mapping[str, float]], steps: int, of_steps: int, seconds: float) -> Self:
+        """From the lines of metrics.jsonl."""
+        seen = [(int(line["step"]), line[LOSS]) for line in metrics if LOSS in line]
+        made = round(seconds, 2)
+        if not seen:
+            return cls(steps, of_steps, made)
+        least_at, least = min(seen, key=lambda at: (math.isnan(at[1]), at[1]))
+        return cls(steps, of_steps, made, seen[0][1], seen[0][0], seen[-1][1], least, least_at)
+
+    def numbers(self) -> dict[str, float | None]:
+        """For run.json. What is no number (a loss that left all bounds) is null there."""
+        return {name: None if _strange(value) else value for name, value in asdict(self).items()}
+
+    def sentences(self) -> list[str]:
+        """How far it came, and where the held-out loss began and ended."""
+        said = []
+        if self.steps < self.of_steps:
+            said.append(
+                f"the minutes were over after {self.steps} of {self.of_steps} updates ({spoken(self.seconds)}): "
+                "the result will be worse than what the config is made for; raise max_minutes, or leave it out"
+            )
+        if self.heldout_loss_first is not None:
+            began = "before the first update" if self.first_at == 0 else f"at update {self.first_at}"
+            said.append(
+                f"held-out loss: {self.heldout_loss_first:.4g} {began}, {self.heldout_loss_last:.4g} after "
+                f"{self.steps} updates; the least was {self.heldout_loss_least:.4g} {_at(self.least_at)}"
+            )
+            if self._risen():
+                said.append("too many updates for so little play, or a learning rate that is too high")
+        return said
+
+    def _risen(self) -> bool:
+        """Whether the held-out loss came down and is up again: of a likelihood, that need not mean a bad policy."""
+        first, last, least = self.heldout_loss_first, self.heldout_loss_last, self.heldout_loss_least
+        if first is None or last is None or least is None or self.first_at != 0:
+            return False
+        return least < first <= last < math.inf
+
+    def complaint(self) -> str | None:
+        """Why it may be that nothing was learned; None where the held-out loss fell, or it is not known from where."""
+        first, last, least = self.heldout_loss_first, self.heldout_loss_last, self.heldout_loss_least
+        if first is None or last is None or least is None or self.first_at != 0 or last < first or self._risen():
+            return None
+        if not math.isfinite(last):
+            why = "the learning rate is too high, or the play holds numbers that are none"
+        else:
+            why = "too few updates, a learning rate that is too low or too high, or play that shows nothing to learn"
+        return (
+            f"nothing was learned: the held-out loss is {last:.4g} after {self.steps} of {self.of_steps} updates and "
+            f"was {first:.4g} before the first. The likely reason: {why}"
+        )
+
+
+def _at(step: int | None) -> str:
+    return "before the first update" if step == 0 else f"at update {step}"
+
+
+def _strange(value: float | None) -> bool:
+    return value is not None and not math.isfinite(value)

@@ -1,0 +1,77 @@
+"""How many threads a process computes with: torch, BLAS, numba and software GL alike, one unless a job says otherwise.
+
+A thread a core is quicker on an idle machine, and far slower as soon as anything else runs: the threads of one
+operation wait for the one that is not being run. Several processes of one thread each use the cores better, and what
+they compute depends neither on the number of cores nor on how many processes there are.
+"""
+
+import ctypes
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+_NUMERICS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+_MAPS = Path("/proc/self/maps")
+# As OpenBLAS calls them by itself, in numpy's wheels and in scipy's.
+_OPENBLAS = tuple((f"{scipy}openblas_", wide) for scipy in ("", "scipy_") for wide in ("", "64_"))
+
+
+def environment(threads: int = 1) -> dict[str, str]:
+    """What a process must find in its environment when it starts."""
+    # LP_NUM_THREADS is that of llvmpipe, Mesa's software GL: 0 draws in the calling thread, without handing over.
+    return {**dict.fromkeys(_NUMERICS, str(threads)), "LP_NUM_THREADS": "0" if threads == 1 else str(threads)}
+
+
+def limit(threads: int = 1) -> None:
+    """Let this process compute with so many threads, and the processes that it starts from now on.
+
+    What is not imported yet reads the environment when it is; what is there already is told by its own functions:
+    torch, numba (for the calling thread), and every OpenBLAS (these are found on Linux only). Operations beside each
+    other (torch's inter-op threads) always have one, as nothing here uses more; no variable says so, which is why this
+    is called again once torch is there. llvmpipe reads its variable when the first context is made.
+    """
+    os.environ.update(environment(threads))
+    torch, numba = sys.modules.get("torch"), sys.modules.get("numba")
+    if torch is not None:
+        torch.set_num_threads(threads)
+        if torch.get_num_interop_threads() != 1:
+            with suppress(RuntimeError):  # who called before us has used them: they are there
+                torch.set_num_interop_threads(1)
+    if numba is not None and numba.config.NUMBA_NUM_THREADS > 1:  # as many as it was imported with; fewer can be used
+        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    for library, before, after in _openblas():
+        getattr(library, f"{before}set_num_threads{after}")(threads)
+
+
+def in_force() -> dict[str, int]:
+    """Threads of everything numerical that is loaded: `torch`, `torch_interop`, `numba`, `openblas` (the most of all).
+
+    To be asked at the end: numba starts its threads in order to count them.
+    """
+    found: dict[str, int] = {}
+    if "torch" in sys.modules:
+        import torch
+
+        found |= {"torch": torch.get_num_threads(), "torch_interop": torch.get_num_interop_threads()}
+    if "numba" in sys.modules:
+        import numba
+
+        found["numba"] = numba.get_num_threads()
+    counts = [int(getattr(library, f"{before}get_num_threads{after}")()) for library, before, after in _openblas()]
+    return found | ({"openblas": max(counts)} if counts else {})
+
+
+def _openblas() -> Iterator[tuple[ctypes.CDLL, str, str]]:
+    """Each OpenBLAS in this process, with what stands before and after the names of its functions."""
+    if not _MAPS.exists():
+        return
+    lines = (line.split(maxsplit=5) for line in _MAPS.read_text(encoding="utf-8", errors="replace").splitlines())
+    files = {words[5] for words in lines if len(words) == 6 and "openblas" in Path(words[5]).name}
+    for file in sorted(files):
+        library = ctypes.CDLL(file)
+        for before, after in _OPENBLAS:
+            if hasattr(library, f"{before}set_num_threads{after}"):
+                yield library, before, after
+                break

@@ -1,0 +1,74 @@
+"""What is said of a training run at its end."""
+
+import math
+
+import pytest
+
+from playlearn.report.outcome import Outcome
+
+
+def outcome(*losses: float, first_at: int = 0, of_steps: int = 0) -> Outcome:
+    """Of a run whose held-out loss was measured every 100 updates."""
+    lines = [{"step": 100 * i + first_at, "heldout/loss": loss} for i, loss in enumerate(losses)]
+    steps = 100 * (len(losses) - 1) + first_at
+    return Outcome.of([{"step": 1, "train/loss": 9.0}, *lines], steps, of_steps or steps, 61.234)
+
+
+def test_a_run_that_learned_says_where_its_loss_was() -> None:
+    one = outcome(1.0, 0.4, 0.5)
+    assert one.complaint() is None
+    assert one.sentences() == [
+        "held-out loss: 1 before the first update, 0.5 after 200 updates; the least was 0.4 at update 100"
+    ]
+    assert one.numbers() == {
+        "steps": 200,
+        "of_steps": 200,
+        "seconds": 61.23,
+        "heldout_loss_first": 1.0,
+        "first_at": 0,
+        "heldout_loss_last": 0.5,
+        "heldout_loss_least": 0.4,
+        "least_at": 100,
+    }
+
+
+@pytest.mark.parametrize(
+    ("losses", "words"),
+    [
+        ((1.0, 1.1), "too few updates"),
+        ((1.0, 1.0), "too few updates"),
+        ((1.0, math.nan), "the learning rate is too high"),
+        ((1.0, 0.5, math.inf), "the learning rate is too high"),
+    ],
+)
+def test_one_that_did_not_says_what_is_likely(losses: tuple[float, ...], words: str) -> None:
+    one = outcome(*losses)
+    complaint = one.complaint()
+    assert complaint is not None
+    assert words in complaint
+    assert f"after {one.steps} of {one.steps} updates" in complaint
+    assert math.isfinite(one.numbers()["heldout_loss_least"] or 0.0)
+
+
+def test_one_whose_loss_came_down_and_rose_again_has_learned_something() -> None:
+    """The likelihood of a policy that is sure of itself ends above where it began, and the policy works."""
+    one = outcome(1.0, 0.4, 1.2)
+    assert one.complaint() is None
+    assert one.sentences()[-1].startswith("too many updates for so little play")
+
+
+def test_one_that_ran_out_of_minutes_says_how_far_it_came() -> None:
+    said = outcome(1.0, 0.9, of_steps=10_000).sentences()
+    assert len(said) == 2
+    assert "after 100 of 10000 updates (61 s): the result will be worse" in said[0]
+
+
+def test_where_the_beginning_is_not_known_there_is_no_judgement() -> None:
+    """Runs of before there was an evaluation at step 0, and runs that hold nothing out."""
+    old = outcome(0.3, 0.4, first_at=100)
+    assert old.complaint() is None
+    assert "0.3 at update 100" in old.sentences()[0]
+    none = Outcome.of([{"step": 1, "train/loss": 9.0}], 5, 5, 1.0)
+    assert none.complaint() is None
+    assert none.sentences() == []
+    assert none.numbers()["heldout_loss_first"] is None
