@@ -1,4 +1,4 @@
-"""What a camera cannot see: what is out of its view, the sky over a floor, the room under a table top."""
+"""What a camera cannot see: what is out of its view, the sky over a floor, what lies under a table top."""
 
 from typing import Any
 
@@ -9,35 +9,34 @@ import numpy as np
 from playlearn.episode import Array
 
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+_APART = 1e-5  # metres: what is flush with a top is not beyond it
 
 
 class Cover:
-    """The room (g,) bool, geoms fixed to the world itself, and what stands still in it and may hide it (g,) bool."""
+    """Of a model's geoms, floors (g,) bool may hide the sky, and tops (g,) bool what lies beyond them."""
 
-    def __init__(self, model: mujoco.MjModel, room: Array, tops: Array) -> None:
+    def __init__(self, model: mujoco.MjModel, floors: Array, tops: Array) -> None:
         alpha = np.where(model.geom_matid >= 0, model.mat_rgba[model.geom_matid, 3], model.geom_rgba[:, 3])
-        box = model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
-        plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
-        self._model, self._room = model, np.flatnonzero(room)
-        self._floors = np.flatnonzero(room & (alpha == 1) & plane)
+        box, plane = model.geom_type == mujoco.mjtGeom.mjGEOM_BOX, model.geom_type == _PLANE
+        self._model = model
+        self._floors = np.flatnonzero(floors & (alpha == 1) & plane)
         self._tops = np.flatnonzero(tops & (alpha == 1) & box)
-        self._flat = bool((box | plane)[self._room].all())
 
-    def seen(self, data: mujoco.MjData, camera: int, aspect: float) -> tuple[bool, bool]:
-        """Whether a camera, as it stands, may see the sky, and anything of the room."""
+    def seen(self, data: mujoco.MjData, camera: int, aspect: float) -> tuple[Array, bool]:
+        """(g,) bool: geoms that a camera, as it stands, may see; and whether it may see the sky.
+
+        Not seen are those whose bounding boxes are wholly beyond a side of the view, and those wholly beyond a top
+        that fills it.
+        """
         model = self._model
         scene = model.geom_type, model.geom_size, data.geom_xpos, data.geom_xmat
         eye, rays = data.cam_xpos[camera], _corner_rays(model, data, camera, aspect)
-        if self._flat and _hidden_by_a_top(self._tops, self._room, *scene, eye, rays):
-            return False, False
-        return not _fills(self._floors, *scene, eye, rays, np.empty((4, 3))), True
-
-    def in_view(self, data: mujoco.MjData, camera: int, aspect: float) -> Array:
-        """(g,) bool: geoms whose bounding boxes are not wholly beyond a side of the view; MuJoCo itself draws all."""
-        eye, rays = data.cam_xpos[camera], _corner_rays(self._model, data, camera, aspect)
-        inside: Array = _in_view(self._model.geom_aabb, data.geom_xpos, data.geom_xmat, eye, rays)
-        inside |= self._model.geom_rbound == 0  # a plane has no end
-        return inside
+        seen = _in_view(model.geom_aabb, model.geom_rbound, data.geom_xpos, data.geom_xmat, eye, rays)
+        hits = np.empty((4, 3))
+        if not _fills(self._tops, *scene, eye, rays, hits):
+            return seen, not _fills(self._floors, *scene, eye, rays, hits)
+        _leave_out_beyond(seen, model.geom_type, model.geom_aabb, data.geom_xpos, data.geom_xmat, eye, hits)
+        return seen, False
 
 
 def _corner_rays(model: mujoco.MjModel, data: mujoco.MjData, camera: int, aspect: float) -> Array:
@@ -56,56 +55,55 @@ def _dot(a: Any, b: Any) -> Any:
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def _fills(geoms: Any, kind: Any, size: Any, xpos: Any, xmat: Any, eye: Any, rays: Any, hits: Any) -> bool:
-    """Whether the upper face of one of the geoms, planes or boxes, fills the view; where the rays meet it (4, 3)."""
+    """Whether the upper face of one of the geoms, planes or boxes, fills the view; where the rays meet the nearest."""
+    nearest, met = np.inf, np.empty((4, 3))
     for g in geoms:
         turn = xmat[g].reshape(3, 3)
         above = _dot(turn[:, 2], eye - xpos[g]) - (0.0 if kind[g] == _PLANE else size[g, 2])
-        whole = above > 0.0
+        whole, far = above > 0.0, 0.0
         for k in range(4):
             down = -_dot(turn[:, 2], rays[k])
             if not whole or down <= 1e-9:
                 whole = False
                 break
-            hits[k] = eye + rays[k] * (above / down)
+            far = max(far, above / down)
+            met[k] = eye + rays[k] * (above / down)
             for axis in range(2):
                 half = size[g, axis] if kind[g] != _PLANE or size[g, axis] > 0.0 else np.inf  # a plane of 0 has no end
-                whole = whole and abs(_dot(turn[:, axis], hits[k] - xpos[g])) < half
-        if whole:
-            return True
-    return False
+                whole = whole and abs(_dot(turn[:, axis], met[k] - xpos[g])) < half
+        if whole and far < nearest:
+            nearest, hits[:] = far, met
+    return bool(nearest < np.inf)
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _hidden_by_a_top(tops: Any, room: Any, kind: Any, size: Any, xpos: Any, xmat: Any, eye: Any, rays: Any) -> bool:
-    """Whether a top fills the view, and each of the room's geoms has a side on which all of the view before it is."""
-    hits = np.empty((4, 3))
-    if not _fills(tops, kind, size, xpos, xmat, eye, rays, hits):
-        return False
-    for g in room:
-        turn, apart = xmat[g].reshape(3, 3), False
+def _leave_out_beyond(seen: Any, kind: Any, aabb: Any, xpos: Any, xmat: Any, eye: Any, hits: Any) -> None:
+    """Of what is seen (g,) bool, what has a side on which all of the pyramid from the eye to the hits (4, 3) is."""
+    for g in np.flatnonzero(seen):
+        turn = xmat[g].reshape(3, 3)
         for axis in range(3):
             low = high = _dot(turn[:, axis], eye - xpos[g])
             for k in range(4):
                 at = _dot(turn[:, axis], hits[k] - xpos[g])
                 low, high = min(low, at), max(high, at)
             if kind[g] == _PLANE:
-                apart = apart or (axis == 2 and low > 0.0)
+                apart = axis == 2 and low > _APART
             else:
-                apart = apart or low > size[g, axis] or high < -size[g, axis]
-        if not apart:
-            return False
-    return True
+                apart = abs((low + high) / 2 - aabb[g, axis]) - (high - low) / 2 > aabb[g, 3 + axis] + _APART
+            if apart:
+                seen[g] = False
+                break
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _in_view(aabb: Any, xpos: Any, xmat: Any, eye: Any, rays: Any) -> Any:
-    """(g,) bool; aabb (g, 6): centre and half sizes of each geom's box, in its own frame."""
+def _in_view(aabb: Any, reach: Any, xpos: Any, xmat: Any, eye: Any, rays: Any) -> Any:
+    """(g,) bool; aabb (g, 6): centre and half sizes of each geom's box, in its own frame; reach (g,): 0 has no end."""
     outward = np.empty((5, 3))
     for k in range(4):
         outward[k] = np.cross(rays[k], rays[(k + 1) % 4])  # out of the side between two corners
     outward[4] = -(rays[0] + rays[1] + rays[2] + rays[3])  # backwards
     inside, middle = np.ones(len(xpos), np.bool_), np.empty(3)
-    for g in range(len(xpos)):
+    for g in np.flatnonzero(reach > 0.0):
         turn = xmat[g].reshape(3, 3)
         for axis in range(3):
             middle[axis] = xpos[g, axis] + _dot(turn[axis], aabb[g, :3]) - eye[axis]

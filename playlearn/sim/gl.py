@@ -58,8 +58,10 @@ def _current_again() -> Iterator[None]:
     except Exception:  # noqa: BLE001 - there is no EGL, of which `_context` speaks
         yield
         return
-    former, display = egl_ext.eglGetCurrentContext(), egl_ext.eglGetCurrentDisplay()
-    surfaces = [egl_ext.eglGetCurrentSurface(kind) for kind in (egl_ext.EGL_DRAW, egl_ext.EGL_READ)]
+    former = egl_ext.eglGetCurrentContext()
+    if former:
+        display = egl_ext.eglGetCurrentDisplay()
+        surfaces = [egl_ext.eglGetCurrentSurface(kind) for kind in (egl_ext.EGL_DRAW, egl_ext.EGL_READ)]
     try:
         yield
     finally:

@@ -60,11 +60,13 @@ class _Stage:
         self._model, self._data, self._paint = model, mujoco.MjData(model), paint
         self._visual = model.geom_group == VISUAL_GROUP
         self._moves = model.body_weldid[model.geom_bodyid] != 0
-        self._room = self._visual & (model.geom_bodyid == 0)
-        self._cover = Cover(model, self._room, self._visual & ~self._room & ~self._moves)
+        room = self._visual & (model.geom_bodyid == 0)
+        self._cover = Cover(model, room, self._visual & ~room & ~self._moves)
         self._moving = np.flatnonzero(self._visual & self._moves)
         self._material = model.geom_matid[self._moving]
         self._fixed_camera = model.body_weldid[model.cam_bodyid] == 0
+        self._view = mujoco.MjvCamera()
+        self._view.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self._option = mujoco.MjvOption()
         self._option.geomgroup[:] = 0
         self._option.geomgroup[VISUAL_GROUP] = 1
@@ -72,32 +74,36 @@ class _Stage:
         self._scene = mujoco.MjvScene(model, maxgeom=2000)
         self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
         self._size = (0, 0)
+        self._posed: bytes | None = None
+        self._painted: bytes | None = None
+        self._look, self._opaque = b"", False
         self._backgrounds: dict[tuple[int, int, int], tuple[bytes, Array, Array]] = {}
 
     def draw(self, qpos: Array, extra: Array, camera: str, height: int, width: int) -> Array:
-        model, data = self._model, self._data
-        self._paint(model, extra)
+        self._pose(qpos, extra)
+        fine, image = np.empty((2 * height, 2 * width, 3), np.uint8), np.empty((height, width, 3), np.uint8)
+        with our_context():
+            self._draw(self._model.camera(camera).id, fine)
+        _halve(fine, image)
+        return image
+
+    def _pose(self, qpos: Array, extra: Array) -> None:
+        """Put everything in place, unless it is there already: most states are seen by more than one camera."""
+        model, data, painted, posed = self._model, self._data, extra.tobytes(), qpos.tobytes()
+        if painted == self._painted and posed == self._posed:
+            return
+        if painted != self._painted:
+            self._paint(model, extra)
+            self._look = b"".join(
+                values.tobytes()
+                for values in (model.body_pos, model.body_quat, model.geom_rgba, model.mat_rgba, model.mat_emission)
+            )
+            self._opaque = self._is_opaque()
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_camlight(model, data)
-        fine, image = np.empty((2 * height, 2 * width, 3), np.uint8), np.empty((height, width, 3), np.uint8)
-        with our_context():
-            self._draw(int(model.camera(camera).id), fine)
-        _halve(fine, image)
-        return image
-
-    def _draw(self, camera: int, fine: Array) -> None:
-        """Fill fine (H, W, 3), bottom row first."""
-        height, width, _ = fine.shape
-        if self._fixed_camera[camera] and self._is_opaque():
-            behind, far = self._background(camera, height, width)
-            depth = np.empty((height, width), np.float32)
-            self._shoot(camera, self._visual & self._moves, False, fine, depth)
-            _put_before(fine, depth, behind, far)
-        else:
-            sky, room = self._cover.seen(self._data, camera, width / height)
-            self._shoot(camera, self._visual if room else self._visual & ~self._room, sky, fine, None)
+        self._painted, self._posed = painted, posed
 
     def _is_opaque(self) -> bool:
         """Whether what stands still can be drawn by itself: nothing clear before it, no shadow thrown on it."""
@@ -105,31 +111,38 @@ class _Stage:
         alpha = np.where(self._material >= 0, model.mat_rgba[self._material, 3], model.geom_rgba[self._moving, 3])
         return not ((alpha > 0) & (alpha < 1)).any() and not model.light_castshadow.any()
 
+    def _draw(self, camera: int, fine: Array) -> None:
+        """Fill fine (H, W, 3), bottom row first."""
+        height, width, _ = fine.shape
+        if self._fixed_camera[camera] and self._opaque:
+            behind, far = self._background(camera, height, width)
+            depth = np.empty((height, width), np.float32)
+            self._shoot(camera, self._visual & self._moves, False, fine, depth)
+            _put_before(fine, depth, behind, far)
+        else:
+            self._shoot(camera, self._visual, True, fine, None)
+
     def _background(self, camera: int, height: int, width: int) -> tuple[Array, Array]:
         """All that stands still, as a fixed camera sees it: image and depth, drawn anew when `paint` changed it."""
-        model = self._model
-        painted = (model.body_pos, model.body_quat, model.geom_rgba, model.mat_rgba, model.mat_emission)
-        look = b"".join(values.tobytes() for values in painted)
         kept = self._backgrounds.get((camera, height, width))
-        if kept is None or kept[0] != look:
+        if kept is None or kept[0] != self._look:
             image, depth = np.empty((height, width, 3), np.uint8), np.empty((height, width), np.float32)
             self._shoot(camera, self._visual & ~self._moves, True, image, depth)
-            kept = self._backgrounds[camera, height, width] = look, image, depth
+            kept = self._backgrounds[camera, height, width] = self._look, image, depth
         return kept[1:]
 
     def _shoot(self, camera: int, geoms: Array, sky: bool, image: Array, depth: Array | None) -> None:
         """Fill image (H, W, 3) and depth (H, W), 0 near .. 1 nothing, with these geoms (g,) bool; bottom row first."""
         height, width, _ = image.shape
         context = self._need(height, width)
-        view = mujoco.MjvCamera()
-        view.type, view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, camera
-        shown = geoms
-        if not self._model.light_castshadow.any():  # what is out of view may throw one into it
-            shown = geoms & self._cover.in_view(self._data, camera, width / height)
-        self._model.geom_group[:] = np.where(shown, VISUAL_GROUP, mujoco.mjNGROUP - 1)
-        self._scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = sky
+        self._view.fixedcamid = camera
+        seen, above = self._cover.seen(self._data, camera, width / height)
+        if self._model.light_castshadow.any():  # what is out of view may throw one into it
+            seen = self._visual
+        self._model.geom_group[:] = np.where(geoms & seen, VISUAL_GROUP, mujoco.mjNGROUP - 1)
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = sky and above
         every = mujoco.mjtCatBit.mjCAT_ALL
-        mujoco.mjv_updateScene(self._model, self._data, self._option, None, view, every, self._scene)
+        mujoco.mjv_updateScene(self._model, self._data, self._option, None, self._view, every, self._scene)
         rectangle = mujoco.MjrRect(0, 0, width, height)
         mujoco.mjr_render(rectangle, self._scene, context)
         mujoco.mjr_readPixels(image, depth, rectangle, context)

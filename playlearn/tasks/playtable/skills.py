@@ -63,7 +63,7 @@ class Block:
             return ACROSS
         x, y, z = map(float, pose[:3])
         here = ways(achieved, self.index, (x, y, z, direction(pose)))
-        there = here if self.to is None else ways(achieved, self.index, self.to)
+        there = here if self.to is None or len(here) < 2 else ways(achieved, self.index, self.to)
         good = [way for way in here if way in there] or [*here] or [ACROSS]
         if len(good) > 1 and hand.yaw_error(direction(pose) + good[1]) < 0.3:  # it is turned that way already
             off = hand.position - pose[:3]
