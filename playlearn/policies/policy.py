@@ -16,7 +16,6 @@ from playlearn.config import atomic_write, from_dict, to_dict
 from playlearn.errors import CheckpointError, PlaylearnError, UsageError
 from playlearn.policies.encoders import EncoderConfig, StateConfig
 from playlearn.policies.heads import DeterministicConfig, Generators, Guidance, HeadConfig
-from playlearn.policies.heads.base import draw_noise
 from playlearn.policies.inputs import Inputs, Labelled, Named, Observed, PolicySpec
 from playlearn.policies.normalise import Normaliser, Statistics, pooled
 from playlearn.policies.trunks import TransformerConfig, TrunkConfig
@@ -35,11 +34,9 @@ class PolicyConfig:
     whose robot state is withheld (the mean of the data is shown). Both against copying: a policy that can
     tell its next action from its last ones, or from how the arm moves, need not look at the goal
     (de Haan et al. 2019).
-    estimate_noise: std of the noise put, in training, on what is achieved now and in the goal, in units of the data's
-    own: a policy that is to act on an image encoder's estimates learns not to trust them to the millimeter.
 
     Raises:
-        UsageError: a share does not lie between 0 and 1, or the noise is negative.
+        UsageError: a share does not lie between 0 and 1.
     """
 
     encoder: EncoderConfig = field(default_factory=StateConfig)
@@ -50,11 +47,8 @@ class PolicyConfig:
     goal_dropout: float = 0.1
     history_dropout: float = 0.0
     proprio_dropout: float = 0.0
-    estimate_noise: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.estimate_noise < 0:
-            raise UsageError(f"policy.estimate_noise must not be below 0, got {self.estimate_noise}")
         for name in ("goal_dropout", "history_dropout", "proprio_dropout"):
             if not 0 <= getattr(self, name) <= 1:
                 raise UsageError(f"policy.{name} is a share of the examples, 0 to 1: got {getattr(self, name)}")
@@ -124,7 +118,7 @@ class Policy(nn.Module):
             UsageError: it differs in more, or something of its encoder has no place here.
         """
         own, given = self.state_dict(), other.state_dict()
-        apart = {entry.name for entry in fields(PolicyConfig)} - {"encoder", "estimate_noise"}
+        apart = {entry.name for entry in fields(PolicyConfig) if entry.name != "encoder"}
         apart = {name for name in apart if getattr(self.config, name) != getattr(other.config, name)}
         placed = all(own.get(name, _NOTHING).shape == value.shape for name, value in given.items())
         if not placed or self.config.encoder.goal_names != other.config.encoder.goal_names:
@@ -184,14 +178,6 @@ class Policy(nn.Module):
         if config.proprio_dropout > 0:
             felt = self._kept(config.proprio_dropout, batch, generator)
             normal = replace(normal, state=normal.state * felt[:, None, None])
-        if config.estimate_noise > 0:
-            normal = replace(
-                normal,
-                achieved=normal.achieved
-                + config.estimate_noise * draw_noise(normal.achieved.shape, generator, self.device),
-                goal_achieved=normal.goal_achieved
-                + config.estimate_noise * draw_noise(normal.goal_achieved.shape, generator, self.device),
-            )
         return self._loss(batch, normal, keep, generator, augment=generator)
 
     @property
