@@ -4,6 +4,7 @@
 SHELL := /bin/sh
 
 DEMO ?= runs/demo
+SEED ?= 0
 PYTEST ?= -n 2
 PY := .venv/bin/python
 # One thread a process: the processes share the cores.
@@ -15,9 +16,9 @@ help: ## say what can be made
 setup: ## the environment from the lock file, and headless GL where that may be installed
 	@sh .ci/setup.sh
 
-demo: ## collect play, train on it, reach goal images; leaves DEMO=runs/demo/eval/report.html
+demo: ## collect play, train on it, reach goal images; leaves DEMO=runs/demo/eval/report.html (SEED=0, STEPS= of a trial)
 	@sh .ci/setup.sh --need-gl
-	@sh .ci/demo.sh $(DEMO)
+	@.venv/bin/playlearn demo --out $(DEMO) --seed $(SEED) $(if $(STEPS),--steps $(STEPS))
 
 sample: ## make datasets/sample and its card anew
 	@sh .ci/setup.sh --need-gl
