@@ -265,6 +265,7 @@ def test_shipped_configs_are_whole(path: Path) -> None:
     assert load_config(DaggerConfig, path, ["--control=play", "--like=runs/x"]).control == "play"
 
 
+@pytest.mark.slow
 def test_a_policy_that_can_do_next_to_nothing_gets_better(run: Path, tmp_path: Path) -> None:
     """By at least 4 of 20 goals in two rounds; tried beforehand, three longer rounds took it from 2 to 60 %."""
     suite = replace(SUITE, episodes=20, cohort=20)

@@ -26,6 +26,7 @@ def test_a_shipped_policy_is_small_and_what_its_config_says(run: Path) -> None:
     assert load_config(TrainConfig, run / "config.yaml").policy == policy.config
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("goal", ["state", "image"])
 def test_a_shipped_policy_opens_the_drawer(goal: str, tmp_path: Path) -> None:
     """Measured on all tasks it reaches nine goals of ten, and the drawer's always: of two it may miss one."""

@@ -58,6 +58,7 @@ def test_gymnasium_finds_nothing_to_blame(env: "GoalEnv") -> None:
     check_env(env, skip_render_check=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["playtable_tasks", "lift", "ogbench_scene"])
 def test_gymnasium_finds_nothing_to_blame_in_our_worlds(name: str) -> None:
     """It wants a reset and a step that depend on the seed alone, and every observation within its space."""
