@@ -94,7 +94,6 @@ def shut_again(world: DoorWorld, angle: float, seed: int) -> bool:
     return rollout([world], expert_for(world), [Goal(goal)], seeds=[0], max_steps=250, stop=shut)[0].ended == "stopped"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("angle", [0.1, 0.15])
 def test_the_expert_frees_a_door_whose_latch_is_caught_behind_its_post(world: DoorWorld, angle: float) -> None:
     assert often(shut_again(world, angle, seed) for seed in range(1, 6))

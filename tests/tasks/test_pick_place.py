@@ -83,7 +83,6 @@ def carried_lying(can: PickPlaceWorld, seed: int) -> bool:
     return rollout([can], expert_for(can), [Goal(goal)], seeds=[0], max_steps=250, stop=there)[0].ended == "stopped"
 
 
-@pytest.mark.slow
 def test_a_can_that_fell_is_carried_lying(can: PickPlaceWorld) -> None:
     assert often(carried_lying(can, seed) for seed in range(1, 6))
 

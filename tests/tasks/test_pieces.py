@@ -113,7 +113,6 @@ def taken_apart(stack: PiecesWorld, seed: int) -> bool:
     return reach(stack, goal)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("made", [upside_down, swapped, taken_apart])
 def test_the_expert_makes_any_arrangement_of_any_other(
     stack: PiecesWorld, made: Callable[[PiecesWorld, int], bool]

@@ -54,7 +54,6 @@ def drive(world: PlayTableWorld, goal: np.ndarray, steps: int, content: Callable
     return False
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
@@ -156,7 +155,6 @@ def brought(world: PlayTableWorld, start: Callable[[PlayTableWorld, int], np.nda
     return drive(world, goal, FAR[start], lambda now: world.reached(now, goal))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("start", FAR)
 def test_the_expert_goes_from_any_state_to_any_other(
     world: PlayTableWorld, start: Callable[[PlayTableWorld, int], np.ndarray]
@@ -212,7 +210,6 @@ def test_mistakes_change_what_is_done_and_not_what_was_meant(world: PlayTableWor
     assert np.abs(seen).max() <= 1
 
 
-@pytest.mark.slow
 def test_play_changes_the_world_in_many_ways(world: PlayTableWorld) -> None:
     """Until four kinds of skill were tried, a block was moved and the hand got about: of some ten tries two suffice."""
     skills, moved, about = set(), 0.0, 0.0

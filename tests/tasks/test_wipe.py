@@ -56,6 +56,5 @@ def wiped_clean(world: WipeWorld, seed: int) -> bool:
     return clean
 
 
-@pytest.mark.slow
 def test_what_is_clean_and_left_alone_ends_the_episode(world: WipeWorld) -> None:
     assert often(wiped_clean(world, seed) for seed in range(1, 6))
