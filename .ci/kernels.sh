@@ -43,7 +43,8 @@ setting() {
 	esac
 }
 
-counted() { grep -oE "[0-9]+ $1" <<<"$2" | awk '{ sum += $1 } END { print sum + 0 }'; }
+# The number before such a word in pytest's last line, 0 where there is none.
+counted() { sed -nE "s/.*\b([0-9]+) $1.*/\1/p" <<<"$2" | awk '{ sum += $1 } END { print sum + 0 }'; }
 
 for condition in "${chosen[@]}"; do setting "$condition" >/dev/null || [ $? = 1 ] || exit 2; done
 mkdir -p "$OUT"
