@@ -156,6 +156,7 @@ def test_rounds(run: Path, tmp_path: Path) -> None:
         go(replace(config, share=0.3), run, out, resume=True)
 
 
+@pytest.mark.slow
 def test_a_killed_round_is_gone_on_with_and_those_before_it_are_not_repeated(
     run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -189,6 +189,7 @@ def test_play_changes_what_goals_speak_of_and_is_told_by_its_seed(world: Any) ->
     assert changed(episode) or often((changed(play(seed, 160)) for seed in (8, 9, 10)), done=1, missed=3)
 
 
+@pytest.mark.slow
 def test_every_camera_sees_the_world_change(world: Any) -> None:
     world.reset(8)
     before = world.observe(world.spec.cameras).images

@@ -176,7 +176,6 @@ def reached(world: Any, name: str, seed: int) -> bool:
     )
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "name"), [("double", "task4_swap"), ("scene", "task5_rearrange_hard")])
 def test_the_expert_does_the_hardest_tasks(kind: str, name: str, scene: Any, two: Any) -> None:
     """A swap needs a cube laid aside; the hardest of the scene eight things in their order."""
@@ -194,7 +193,6 @@ def settled(scene: Any, seed: int) -> bool:
     return len(episode.meta.skills) >= 2 and table.offsets[-1] >= 2 and len(things) >= 2
 
 
-@pytest.mark.slow
 def test_play_settles_on_many_things(scene: Any) -> None:
     """And its skills say which."""
     assert often((settled(scene, seed) for seed in range(2, 10)), done=1, missed=8)

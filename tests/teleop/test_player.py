@@ -111,7 +111,6 @@ def test_plans_and_their_bows_are_meant() -> None:
     assert np.ptp(places[:, :2], axis=0).min() > 0.1
 
 
-@pytest.mark.slow
 def test_noise_is_executed_and_not_meant() -> None:
     """AR(1): its spread at full speed is the config's, and one step remembers `drift` of the last."""
     decisions, _ = play(dataclasses.replace(NOTHING, noise=0.1, drift=0.8), steps=6000)
