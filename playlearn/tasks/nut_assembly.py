@@ -246,10 +246,11 @@ class Bring:
 
     def _bring(self, hand: Hand, achieved: Array, style: Style) -> Array:
         here, goal = achieved[:3].astype(float), np.array(self.goal[:3])
-        left = turn(yaw(achieved), self._direction, 2 * np.pi)
         mine = _window(hand.yaw)
-        if not _LOWEST <= mine + left <= _HIGHEST:  # the other way round
-            left -= float(np.sign(left)) * 2 * np.pi
+        # Whichever way round the wrist can: half a turn away the nearer way would be another with every tremble.
+        # Where no way leads quite there, it is laid down as near as can be and taken from its other side.
+        end = _window(mine + turn(yaw(achieved), self._direction, 2 * np.pi))
+        left = float(np.clip(end, _LOWEST, _HIGHEST)) - mine
         off = float(np.hypot(*(goal - here)[:2]))
         stuck = caught(achieved, self.peg)
         over = PEG_TOP + 0.035
@@ -340,10 +341,15 @@ def _window(angle: float) -> float:
 
 def _cost(way: float, left: float) -> float:
     """How ill it suits to take the nut with the fingers along `way` rad, when it is to be turned by `left`."""
-    ends = [way + left, way + left - np.sign(left) * 2 * np.pi]
-    end = min(ends, key=lambda end: max(0.0, _LOWEST - end, end - _HIGHEST))
-    out = sum(max(0.0, _LOWEST - angle, angle - _HIGHEST) for angle in (way, end))
-    return 20.0 * float(out) + abs(way - np.pi / 2) + abs(float(end) - np.pi / 2)
+    end = _window(way + left)
+    # What cannot be turned whole can be laid down on the way; what cannot be gripped cannot.
+    out = 40.0 * _beyond(way) + 20.0 * _beyond(end)
+    return out + abs(way - np.pi / 2) + abs(end - np.pi / 2)
+
+
+def _beyond(angle: float) -> float:
+    """How far it is outside of what the wrist can surely turn to, rad."""
+    return max(0.0, _LOWEST - angle, angle - _HIGHEST)
 
 
 def _down(angle: float) -> Array:

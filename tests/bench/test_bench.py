@@ -21,6 +21,7 @@ from playlearn.errors import PlaylearnError, UsageError
 TINY = Size(steps=2, rounds=1, episodes=4, worlds=("lift",))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(BENCHMARKS))
 def test_every_figure_is_beside_its_peer_and_its_limit(name: str, tmp_path: Path) -> None:
     heard: list[Figure] = []

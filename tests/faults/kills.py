@@ -5,6 +5,7 @@ one JSON line; what goes wrong is an AssertionError.
 """
 
 import contextlib
+import functools
 import io
 import json
 import os
@@ -12,6 +13,7 @@ import resource
 import shutil
 import signal
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from types import CodeType, FrameType
@@ -146,32 +148,44 @@ def every_line_of_a_collection(folder: Path) -> dict[str, Any]:
 
 
 def random_moments(folder: Path) -> dict[str, Any]:
-    """Killed at any moment, again and again, until it is done in spite of it."""
+    """Ended by the kernel at any moment, again and again, until it is done in spite of it.
+
+    Each try begins 2 to 11 episodes and is ended within the time of about two more: on a machine however slow it
+    commits one at the least, so that there are at most as many kills as episodes.
+    """
     from tests.faults import point
 
     point.install()
     config, out = point.config(episodes=80, steps=10), folder / "play"
     _collect(config, folder / "whole")
-    rng, kills, grew = np.random.default_rng(0), 0, []
+    rng, grew = np.random.default_rng(0), [0]
     while True:
-        child = os.fork()
-        if child == 0:
-            _collect(config, out)
-            os._exit(0)
-        signal.setitimer(signal.ITIMER_REAL, rng.uniform(0.02, 0.2))
-        signal.signal(signal.SIGALRM, lambda *_, child=child: os.kill(child, signal.SIGKILL))
-        _, status = os.waitpid(child, 0)
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        if not os.WIFSIGNALED(status):
-            assert os.WEXITSTATUS(status) == 0
+        begun, share = int(rng.integers(2, 12)), rng.uniform(0, 2)
+        if forked(functools.partial(_struck, config, out, begun, share)) == 0:
             break
-        kills += 1
-        if (out / "store.json").exists():
-            store = NativeStore.open(out)
-            assert store.verify() == []
-            grew.append(len(store))
+        store = NativeStore.open(out)
+        assert store.verify() == []
+        grew.append(len(store))
+        assert grew[-1] > grew[-2], "what was committed stays, and there is more of it"
     assert contents(out) == contents(folder / "whole")
-    return {"kills": kills, "episodes": grew}
+    return {"kills": len(grew) - 1}
+
+
+def _struck(config: Any, out: Path, begun: int, share: float) -> None:
+    """Collect, until that share of an episode's time after so many of them have begun an alarm ends this process."""
+    from tests.faults import point
+
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)  # so that it ends at once, wherever it is
+    reset, moments = point.Unlucky.reset, [time.monotonic()]
+
+    def counted(player: point.Unlucky, *given: Any) -> None:
+        moments.append(time.monotonic())
+        if len(moments) == begun + 1:
+            signal.setitimer(signal.ITIMER_REAL, max(1e-6, share * (moments[-1] - moments[-2])))
+        reset(player, *given)
+
+    point.Unlucky.reset = counted  # type: ignore[method-assign]  # in this copy of the process alone
+    _collect(config, out)
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -78,11 +78,11 @@ def small(tmp_path: Path) -> NativeStore:
 
 
 def test_no_flipped_bit_goes_unseen(small: NativeStore) -> None:
-    """400 places of one file, drawn at random, a bit each: opening or verifying names the file every time."""
+    """150 places of one file, drawn at random, a bit each: opening or verifying names the file every time."""
     path = small.path / "episodes/000001.safetensors"
     whole = path.read_bytes()
     rng = np.random.default_rng(1)
-    for at in rng.choice(len(whole), 400, replace=False):
+    for at in rng.choice(len(whole), 150, replace=False):
         content = bytearray(whole)
         content[at] ^= 1 << int(rng.integers(8))
         path.write_bytes(content)

@@ -17,9 +17,10 @@ from playlearn.collect import CollectConfig, collect
 from playlearn.config import save_config
 from playlearn.store import NativeStore
 from tests.faults import point
-from tests.faults.command import HERE, SCRIPT, contents, episodes
+from tests.faults.command import HERE, LIMIT, SCRIPT, contents, episodes
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     not shutil.which("unshare")
     or subprocess.run(["unshare", "-Urm", "true"], capture_output=True, check=False).returncode != 0,
@@ -63,7 +64,7 @@ def test_a_disk_that_fills_up(tmp_path: Path) -> None:
         env={**os.environ, **HERE},
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=LIMIT,
         check=False,
     )
     assert re.findall(r"code (\d+)", done.stdout) == ["1", "0", "1"], done.stderr

@@ -18,17 +18,18 @@ FAULTS = {1: "killed", 3: "bug", 5: "hangs", 6: "diverges at once", 8: "diverges
 WHY = {
     1: "was killed by SIGKILL",
     3: "ZeroDivisionError: a bug",
-    5: "did not finish within 3 s",
+    5: "did not finish within 8 s",
     6: "ended before its first action: diverged: the point left the plane",
 }
 
 
+@pytest.mark.slow
 def test_what_fails_loses_nothing_else_and_is_told(
     tmp_path: Path, config: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """Of 12 episodes four fail, each in its own way; a fifth diverges on the way and is kept as far as it went."""
     out = tmp_path / "play"
-    arguments = ("collect", "--config", config, "--out", out, "--workers", 2, "--timeout", 3)
+    arguments = ("collect", "--config", config, "--out", out, "--workers", 2, "--timeout", 8)
     code, errors = finish(start(*arguments, faults=FAULTS, retries=0))
     assert code == 1
     store = NativeStore.open(out)
@@ -63,8 +64,9 @@ def test_what_fails_loses_nothing_else_and_is_told(
     assert contents(out) == contents(tmp_path / "whole")
 
 
+@pytest.mark.slow
 def test_a_hang_alone_says_where_and_ends(tmp_path: Path, config: Path) -> None:
-    arguments = ("collect", "--config", config, "--out", tmp_path / "play", "--episode", 5, "--timeout", 1)
+    arguments = ("collect", "--config", config, "--out", tmp_path / "play", "--episode", 5, "--timeout", 5)
     code, errors = finish(start(*arguments, faults=FAULTS))
     assert code == 1
     assert "in _happen" in errors, "the stack of the place where it hangs"

@@ -22,13 +22,14 @@ from tests.faults.command import HERE, contents, episodes, finish, gone, start
 from tests.synthetic import make_episode
 
 
+@pytest.mark.slow
 def test_interrupted_in_every_way_and_resumed_by_any_number_of_workers(tmp_path: Path) -> None:
     """SIGKILL of the parent, Ctrl-C to the group, SIGTERM, with 2, 3 and 1 workers, then to the end with none.
 
-    Every file then is that of an unbroken run, bit for bit; no process outlives an interruption, and
+    Every file then is that of an unbroken run on this machine, bit for bit; no process outlives an interruption, and
     no lock does.
     """
-    config, out = point.config(episodes=60), tmp_path / "play"
+    config, out = point.config(episodes=120), tmp_path / "play"
     save_config(config, tmp_path / "collect.yaml")
     collect(config, tmp_path / "whole", workers=0)
     rng = np.random.default_rng(0)
@@ -37,8 +38,7 @@ def test_interrupted_in_every_way_and_resumed_by_any_number_of_workers(tmp_path:
         mark = uuid.uuid4().hex
         arguments = ("collect", "--config", tmp_path / "collect.yaml", "--out", out, "--workers", workers, "--resume")
         process = start(*arguments, pace=0.01, mark=mark)
-        until = time.monotonic() + 60
-        while episodes(out) == seen and time.monotonic() < until:
+        while episodes(out) == seen and process.poll() is None:
             time.sleep(0.01)
         time.sleep(rng.uniform(0, 0.3))
         if how == signal.SIGINT:
@@ -50,13 +50,14 @@ def test_interrupted_in_every_way_and_resumed_by_any_number_of_workers(tmp_path:
         assert gone(mark)
         assert "Traceback" not in errors
         assert code < 0 or "--resume" in errors
-        assert seen < episodes(out) < 60
+        assert seen < episodes(out) < 120
         seen = episodes(out)
         assert NativeStore.open(out).verify() == []
     collect(config, out, workers=0, resume=True)
     assert contents(out) == contents(tmp_path / "whole")
 
 
+@pytest.mark.slow
 def test_the_real_command_killed_and_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """PlayTable and its physics: what a worker had done when its parent was killed, another process goes on with."""
     monkeypatch.undo()
@@ -64,8 +65,7 @@ def test_the_real_command_killed_and_resumed(tmp_path: Path, monkeypatch: pytest
     save_config(config, tmp_path / "collect.yaml")
     command = ["-m", "playlearn.cli", "collect", "--config", str(tmp_path / "collect.yaml"), "--out", str(out)]
     process = subprocess.Popen([sys.executable, *command, "--workers", "1"], env={**os.environ, **HERE})
-    until = time.monotonic() + 120
-    while episodes(out) == 0 and time.monotonic() < until:
+    while episodes(out) == 0 and process.poll() is None:
         time.sleep(0.002)
     process.kill()
     process.wait()

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from playlearn.lab.base import Rows
 from playlearn.lab.copying import CopyingConfig, _Examples, _judge
@@ -36,6 +37,7 @@ def test_each_input_is_worth_the_half_that_it_tells() -> None:
     assert abs(_judge(asked.past[:, -1], known, asked)["r2"]) < 0.15
 
 
+@pytest.mark.slow
 def test_on_the_sample_of_play_there_is_a_row_for_each_input(tmp_path: Path) -> None:
     """To do the last thing again is worst where the action turns: that is what a turn is."""
     tried = CopyingConfig(store=SAMPLE, past=(1, 2), examples=2000, hidden=32, updates=150, seeds=1)

@@ -44,6 +44,7 @@ def test_examples_of_many_modes_are_judged_near_and_even(dimensions: int, modes:
     assert judge_modes(torch.zeros(5, *centres.shape[1:]), centres) == (0.0, 0.0)
 
 
+@pytest.mark.slow
 def test_a_mixture_takes_the_fork_and_one_gaussian_drives_into_it(tmp_path: Path) -> None:
     fork = ForkConfig(
         heads={"one": GaussianConfig(hidden=32), "two": MixtureConfig(components=4, hidden=32, spread=(0.02, 2.0))},

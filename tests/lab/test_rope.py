@@ -26,6 +26,7 @@ def test_one_who_follows_the_cue_from_beside_the_rope_stays_beside_it() -> None:
     assert back_to(np.array([0, 1, -1]), np.array([2, 2, 2])).tolist() == [-1, 0, -1]
 
 
+@pytest.mark.slow
 def test_cloning_compounds_and_dagger_does_not(tmp_path: Path) -> None:
     """Exponents of a small run: nearer to theory's 2 for the one, to its 1 for the others."""
     config = TightropeConfig(lengths=(10, 20, 40, 80), walks=600, rounds=2, seeds=1)
@@ -38,6 +39,7 @@ def test_cloning_compounds_and_dagger_does_not(tmp_path: Path) -> None:
     assert (tmp_path / "plot.png").exists()
 
 
+@pytest.mark.slow
 def test_what_was_seen_two_steps_ago_needs_three_observations(tmp_path: Path) -> None:
     config = OcclusionConfig(histories=(2, 3), labelled=1500, updates=250, walks=50, seeds=1)
     rows = config.measure(lambda _: None)

@@ -58,6 +58,7 @@ def test_gymnasium_finds_nothing_to_blame(env: "GoalEnv") -> None:
     check_env(env, skip_render_check=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["playtable_tasks", "lift", "ogbench_scene"])
 def test_gymnasium_finds_nothing_to_blame_in_our_worlds(name: str) -> None:
     """It wants a reset and a step that depend on the seed alone, and every observation within its space."""
@@ -131,7 +132,8 @@ def test_lerobots_loop_gives_what_ours_gives(run: Path, env: "GoalEnv", tmp_path
         actor = PolicyActor(policy, execute=2)
         outcome = rollout([env.world], actor, [setup.goal], seeds=[number], max_steps=12)[0]
         assert outcome.episode is not None
-        np.testing.assert_allclose(done["action"][number][:12].numpy(), outcome.episode.action, atol=1e-6)
+        # two rows there, one here: float32 sums in another order, over 12 steps
+        np.testing.assert_allclose(done["action"][number][:12].numpy(), outcome.episode.action, atol=1e-4)
 
 
 def test_a_config_says_what_the_policy_reads(run: Path, tmp_path: Path) -> None:

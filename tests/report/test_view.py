@@ -206,7 +206,7 @@ def test_reruns_own_tool_finds_the_file_whole(episode_file: Path) -> None:
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=600,
         env={**os.environ, "TELEMETRY_ENABLED": "false"},
     )
     assert done.returncode == 0, done.stderr

@@ -98,6 +98,7 @@ def test_a_picture_does_not_depend_on_what_was_drawn_before(
             np.testing.assert_array_equal(other.render(camera), image)
 
 
+@pytest.mark.slow
 def test_robosuite_draws_beside_us(world: PlayTableWorld, states: list[np.ndarray]) -> None:
     """Each in its own context: neither what it draws with nor what it forgets is the other's."""
     env: Any = None

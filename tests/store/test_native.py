@@ -139,7 +139,7 @@ with store.writer() as writer:
 def test_a_killed_writer_leaves_the_store_whole(tmp_path: Path, rng: np.random.Generator) -> None:
     store = make_store(tmp_path / "play", rng, 2, 20)
     env = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
-    killed = subprocess.run([sys.executable, "-c", KILLED, str(store.path)], env=env, check=False, timeout=60)
+    killed = subprocess.run([sys.executable, "-c", KILLED, str(store.path)], env=env, check=False, timeout=600)
     assert killed.returncode == -9
     assert len(list((store.path / "episodes").iterdir())) == 3  # the half-written one is there ...
     again = NativeStore.open(store.path)

@@ -13,6 +13,7 @@ from playlearn.rollout import rollout
 from playlearn.sim import EnvironmentConfig, Task
 from playlearn.tasks import OgbenchPlayConfig
 from playlearn.teleop import PlayConfig, expert_for, player_for
+from tests.shares import often
 
 KINDS = sorted(
     kind
@@ -86,6 +87,7 @@ def test_a_saved_state_goes_on_exactly_as_the_world_did(world: Any) -> None:
     np.testing.assert_array_equal(world.observe().achieved, expected[1].achieved)
 
 
+@pytest.mark.slow
 def test_two_that_are_built_alike_start_alike(world: Any) -> None:
     """A worker builds its own: nothing about the scene may be left to chance."""
     other = world.config.build()
@@ -129,11 +131,12 @@ def test_every_task_has_starts_that_are_not_won_and_goals_that_are(world: Any) -
         assert task.judge(start, goal, goal), task.name
 
 
+@pytest.mark.slow
 def test_the_expert_does_every_task(world: Any) -> None:
-    """Once each, of two tries; how often of hundreds, the suites say."""
+    """Once each, of four tries at most; how often of hundreds, the suites say."""
     expert = expert_for(world)
     for task in world.tasks.values():
-        assert any(_done(world, expert, task, seed) for seed in (3, 4)), task.name
+        assert often((_done(world, expert, task, seed) for seed in range(3, 7)), done=1), task.name
 
 
 def _done(world: Any, expert: Any, task: Task, seed: int) -> bool:
@@ -173,16 +176,20 @@ def test_the_expert_remembers_nothing(world: Any) -> None:
 def test_play_changes_what_goals_speak_of_and_is_told_by_its_seed(world: Any) -> None:
     player = PLAYERS.get(world.config.get_choice_name(type(world.config)), PlayConfig())
 
-    def play() -> Any:
-        world.reset(7)
-        return rollout([world], player_for(world, player), [None], seeds=[7], max_steps=160)[0].episode
+    def play(seed: int, steps: int) -> Any:
+        world.reset(seed)
+        return rollout([world], player_for(world, player), [None], seeds=[seed], max_steps=steps)[0].episode
 
-    episode, again = play(), play()
-    np.testing.assert_array_equal(episode.action, again.action)
-    np.testing.assert_array_equal(episode.sim_state, again.sim_state)
-    assert not world.reached(episode.achieved[-1], episode.achieved[0]) or len(episode.meta.skills) > 2
+    def changed(episode: Any) -> bool:
+        return not world.reached(episode.achieved[-1], episode.achieved[0]) or len(episode.meta.skills) > 2
+
+    episode, again = play(7, 160), play(7, 50)
+    np.testing.assert_array_equal(episode.action[:50], again.action)
+    np.testing.assert_array_equal(episode.sim_state[:51], again.sim_state)
+    assert changed(episode) or often((changed(play(seed, 160)) for seed in (8, 9, 10)), done=1, missed=3)
 
 
+@pytest.mark.slow
 def test_every_camera_sees_the_world_change(world: Any) -> None:
     world.reset(8)
     before = world.observe(world.spec.cameras).images

@@ -8,6 +8,7 @@ from playlearn.rollout import rollout
 from playlearn.tasks import DoorConfig
 from playlearn.tasks.door import ANGLE, LATCH, DoorWorld, grip
 from playlearn.teleop import expert_for
+from tests.shares import often
 
 
 @pytest.fixture(scope="module")
@@ -78,10 +79,9 @@ def test_a_shut_door_is_held_by_its_latch(world: DoorWorld) -> None:
     assert opened[1] > 0.3
 
 
-@pytest.mark.parametrize("angle", [0.1, 0.15])
-def test_the_expert_frees_a_door_whose_latch_is_caught_behind_its_post(world: DoorWorld, angle: float) -> None:
-    """Where a slip left it: half way, the lever sprung back."""
-    world.reset(1)
+def shut_again(world: DoorWorld, angle: float, seed: int) -> bool:
+    """Whether the expert shuts a door that a slip left half way, the lever sprung back."""
+    world.reset(seed)
     world.data.qpos[[world._hinge, world._latch]] = angle, -1.4
     for _ in range(15):
         world.step(np.zeros(7))
@@ -91,4 +91,9 @@ def test_the_expert_frees_a_door_whose_latch_is_caught_behind_its_post(world: Do
     def shut(_: int, seen: object) -> bool:
         return world.reached(world.achieved(), goal)
 
-    assert rollout([world], expert_for(world), [Goal(goal)], seeds=[0], max_steps=250, stop=shut)[0].ended == "stopped"
+    return rollout([world], expert_for(world), [Goal(goal)], seeds=[0], max_steps=250, stop=shut)[0].ended == "stopped"
+
+
+@pytest.mark.parametrize("angle", [0.1, 0.15])
+def test_the_expert_frees_a_door_whose_latch_is_caught_behind_its_post(world: DoorWorld, angle: float) -> None:
+    assert often(shut_again(world, angle, seed) for seed in range(1, 6))

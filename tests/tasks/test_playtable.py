@@ -83,6 +83,7 @@ def test_starts_are_at_rest_and_free_of_collisions(world: PlayTableWorld) -> Non
         np.testing.assert_allclose(world.achieved(), start, atol=0.002)
 
 
+@pytest.mark.slow
 def test_starts_show_all_that_the_table_has(world: PlayTableWorld) -> None:
     """Of 120 starts, each share that the config names comes true within four standard errors."""
     starts = []
@@ -323,6 +324,7 @@ def test_a_judge_asks_for_the_block_that_the_goal_shows(world: PlayTableWorld) -
             assert not world.tasks[name].judge(start, swapped, goal), name
 
 
+@pytest.mark.slow
 def test_other_robots_play_at_the_same_table() -> None:
     other = PlayTableConfig(robot="UR5e").build()
     other.reset(0)

@@ -13,6 +13,7 @@ from playlearn.tasks.playtable.layout import LED, block
 from playlearn.tasks.playtable.world import PlayTableWorld
 from playlearn.teleop import PlayConfig, expert_for, player_for
 from playlearn.teleop.hand import Hand
+from tests.shares import often
 
 
 @pytest.fixture(scope="module")
@@ -79,79 +80,103 @@ def drive(world: PlayTableWorld, goal: np.ndarray, steps: int, content: Callable
     ],
 )
 def test_the_expert_does_every_kind_of_task(world: PlayTableWorld, name: str) -> None:
-    """Of two starts each at least one; whole suites say how often over hundreds."""
+    """At one start of four at the least; whole suites say how often over hundreds."""
     task = world.tasks[name]
-    done = []
-    for seed in range(2):
+
+    def done(seed: int) -> bool:
         start, goal = begin(world, name, seed)
-        done.append(drive(world, goal, 200, lambda now, s=start, g=goal: task.judge(s, now, g)))
-    assert any(done)
+        return drive(world, goal, 200, lambda now: task.judge(start, now, goal))
+
+    assert often((done(seed) for seed in range(4)), done=1)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_the_expert_goes_from_any_state_to_any_other(world: PlayTableWorld, seed: int) -> None:
-    """Between random starts everything differs: some 400 steps, of which a block takes 70."""
+def anything(world: PlayTableWorld, seed: int) -> np.ndarray:
+    """A goal that differs from the start in everything: some 400 steps, of which a block takes 70."""
     world.reset(2000 + seed)
     goal = world.achieved()
     world.reset(1000 + seed)
-    assert drive(world, goal, 700, lambda now: world.reached(now, goal))
+    return goal
 
 
-def arranged(world: PlayTableWorld) -> None:
+def arranged(world: PlayTableWorld, seed: int) -> np.ndarray:
     """Drawer and slider at 0, the blocks in a row on the deck."""
-    world.reset(1)
+    world.reset(seed)
     world.slide_drawer(0.0)
     world.slide_slider(0.0)
     for i in range(3):
         world.lay(i, (0.06, -0.13 + 0.11 * i), 0.2)
     world.refresh()
+    return world.achieved()
 
 
-def test_the_expert_swaps_two_blocks(world: PlayTableWorld) -> None:
+def two_swapped(world: PlayTableWorld, seed: int) -> np.ndarray:
     """Each stands where the other is to go: one has to be laid aside first."""
-    arranged(world)
-    goal = world.achieved()
+    goal = arranged(world, seed)
     block(goal, 0)[:], block(goal, 1)[:] = block(world.achieved(), 1), block(world.achieved(), 0)
-    assert drive(world, goal, 350, lambda now: world.reached(now, goal))
+    return goal
 
 
-@pytest.mark.parametrize("where", ["drawer", "bay"])
-def test_the_expert_makes_way_and_leaves_fixtures_as_the_goal_shows_them(world: PlayTableWorld, where: str) -> None:
-    """What is shut in the drawer or lies under the slider is to lie on the deck, with all shut as before."""
-    arranged(world)
-    goal = world.achieved()
-    if where == "drawer":
-        world.slide_drawer(0.1)
-        world.stow(0, np.random.default_rng(0))
-        world.slide_drawer(0.0)
-    else:
-        world.lay(0, (scene.BAY_CENTRE[0], scene.SLIDER_Y), np.pi / 2)
+def out_of_the_drawer(world: PlayTableWorld, seed: int) -> np.ndarray:
+    """What is shut in the drawer is to lie on the deck, with all shut as before."""
+    goal = arranged(world, seed)
+    world.slide_drawer(0.1)
+    world.stow(0, np.random.default_rng(seed))
+    world.slide_drawer(0.0)
     world.refresh()
-    assert not world.reached(world.achieved(), goal)
-    assert drive(world, goal, 450, lambda now: world.reached(now, goal))
+    return goal
 
 
-def test_the_expert_takes_the_lower_block_of_a_pile(world: PlayTableWorld) -> None:
-    arranged(world)
-    goal = world.achieved()
+def out_of_the_bay(world: PlayTableWorld, seed: int) -> np.ndarray:
+    """What lies under the slider is to lie on the deck, with the slider where it was."""
+    goal = arranged(world, seed)
+    world.lay(0, (scene.BAY_CENTRE[0], scene.SLIDER_Y), np.pi / 2)
+    world.refresh()
+    return goal
+
+
+def lower_of_a_pile(world: PlayTableWorld, seed: int) -> np.ndarray:
+    """It is to go elsewhere, and what is on it too."""
+    goal = arranged(world, seed)
     block(goal, 0)[:2] = 0.1, 0.05
     block(goal, 2)[:2] = 0.0, 0.09
-    world.stack(1, 0, np.random.default_rng(0))
+    world.stack(1, 0, np.random.default_rng(seed))
     world.refresh()
-    assert drive(world, goal, 400, lambda now: world.reached(now, goal))
+    return goal
 
 
-def test_the_expert_lets_a_pressed_button_up_before_it_presses_again(world: PlayTableWorld) -> None:
-    """Pressed once, the lamp will not change again while the button is held down."""
-    arranged(world)
-    lit = world.achieved()
+# Each with the steps that are enough for it.
+FAR = {anything: 700, two_swapped: 350, out_of_the_drawer: 450, out_of_the_bay: 450, lower_of_a_pile: 400}
+
+
+def brought(world: PlayTableWorld, start: Callable[[PlayTableWorld, int], np.ndarray], seed: int) -> bool:
+    """Whether the expert makes what it is shown of that start."""
+    goal = start(world, seed)
+    assert not world.reached(world.achieved(), goal)
+    return drive(world, goal, FAR[start], lambda now: world.reached(now, goal))
+
+
+@pytest.mark.parametrize("start", FAR)
+def test_the_expert_goes_from_any_state_to_any_other(
+    world: PlayTableWorld, start: Callable[[PlayTableWorld, int], np.ndarray]
+) -> None:
+    assert often(brought(world, start, seed) for seed in range(5))
+
+
+def pressed_twice(world: PlayTableWorld, seed: int) -> bool:
+    """Pressed once, the lamp will not change again while the button is held down: it has to be let up first."""
+    lit = arranged(world, seed)
     lit[LED] = 1 - lit[LED]
-    assert drive(world, lit, 150, lambda now: bool(now[LED] == lit[LED]))
+    if not drive(world, lit, 150, lambda now: bool(now[LED] == lit[LED])):
+        return False
     for _ in range(3):
         world.step(np.array([0, 0, -0.6, 0, 0, 0, 1.0]))
     back = world.achieved()
     back[LED] = 1 - back[LED]
-    assert drive(world, back, 150, lambda now: bool(now[LED] == back[LED]))
+    return drive(world, back, 150, lambda now: bool(now[LED] == back[LED]))
+
+
+def test_the_expert_lets_a_pressed_button_up_before_it_presses_again(world: PlayTableWorld) -> None:
+    assert often(pressed_twice(world, seed) for seed in range(1, 6))
 
 
 def test_the_expert_rests_where_nothing_is_to_be_done(world: PlayTableWorld) -> None:
@@ -186,13 +211,16 @@ def test_mistakes_change_what_is_done_and_not_what_was_meant(world: PlayTableWor
 
 
 def test_play_changes_the_world_in_many_ways(world: PlayTableWorld) -> None:
-    skills, moved = set(), 0.0
-    for seed in range(3):
+    """Until four kinds of skill were tried, a block was moved and the hand got about: of some ten tries two suffice."""
+    skills, moved, about = set(), 0.0, 0.0
+    for seed in range(10):
         episode = play(world, 10 + seed, 300, PlayConfig())
         skills |= {name.split("_")[0] for name in episode.meta.skills}
-        moved += float(np.ptp(episode.achieved[:, :2], axis=0).max() > 0.05)
-    assert len(skills) >= 4
-    assert np.ptp(episode.state[:, :3], axis=0).max() > 0.15
+        moved = max(moved, float(np.ptp(episode.achieved[:, :2], axis=0).max()))
+        about = max(about, float(np.ptp(episode.state[:, :3], axis=0).max()))
+        if len(skills) >= 4 and moved > 0.05 and about > 0.15:
+            return
+    pytest.fail(f"{len(skills)} skills, a block moved by {moved:.2f} m, the hand by {about:.2f} m")
 
 
 @pytest.mark.parametrize("yaw", [0.3, np.pi / 2, 2.5])

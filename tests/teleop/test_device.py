@@ -346,5 +346,5 @@ print("shown")
 @pytest.mark.skipif(not shutil.which("xvfb-run"), reason="no Xvfb here")
 def test_a_window_shows_pictures_and_takes_keys() -> None:
     command = ["xvfb-run", "-a", sys.executable, "-c", SHOWN]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=1200, check=False)
     assert done.stdout.strip() == "shown", done.stderr
