@@ -341,7 +341,7 @@ def _window(angle: float) -> float:
 
 def _cost(way: float, left: float) -> float:
     """How ill it suits to take the nut with the fingers along `way` rad, when it is to be turned by `left`."""
-    end = _window(way + left)
+    end: float = _window(way + left)
     # What cannot be turned whole can be laid down on the way; what cannot be gripped cannot.
     out = 40.0 * _beyond(way) + 20.0 * _beyond(end)
     return out + abs(way - np.pi / 2) + abs(end - np.pi / 2)
