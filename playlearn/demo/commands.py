@@ -10,6 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 POLL = 0.2  # seconds
+PLAYLEARN = (sys.executable, "-m", "playlearn.cli")
 
 
 @dataclass(frozen=True)
@@ -22,16 +23,19 @@ class Done:
 
 
 def run_together(
-    commands: Mapping[str, Sequence[str]], say: Callable[[str], None], tick: Callable[[], None]
+    commands: Mapping[str, Sequence[str]],
+    say: Callable[[str], None],
+    tick: Callable[[], None],
+    program: Sequence[str] = PLAYLEARN,
 ) -> dict[str, Done]:
-    """Run `playlearn ARGUMENTS...` for each name at once, to their ends; where one fails the others are stopped.
+    """Run `program ARGUMENTS...` for each name at once, to their ends; where one fails the others are stopped.
 
     say: hears each line with the command's name before it. tick: called several times a second.
 
     Raises:
         KeyboardInterrupt: on Ctrl-C, which the commands hear too, once all have ended.
     """
-    running = {name: _start(arguments) for name, arguments in commands.items()}
+    running = {name: _start([*program, *arguments]) for name, arguments in commands.items()}
     readers = [_read(name, process, say) for name, process in running.items()]
     began, done, interrupted = time.monotonic(), dict[str, Done](), False
     while len(done) < len(running):
@@ -52,9 +56,9 @@ def run_together(
     return done
 
 
-def _start(arguments: Sequence[str]) -> "subprocess.Popen[str]":
+def _start(words: Sequence[str]) -> "subprocess.Popen[str]":
     return subprocess.Popen(
-        [sys.executable, "-m", "playlearn.cli", *arguments],
+        words,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -65,8 +69,9 @@ def _start(arguments: Sequence[str]) -> "subprocess.Popen[str]":
 def _read(name: str, process: "subprocess.Popen[str]", say: Callable[[str], None]) -> threading.Thread:
     def relay() -> None:
         if process.stdout is not None:
-            for line in process.stdout:
-                say(f"{name} | {line.rstrip()}")
+            with process.stdout as lines:
+                for line in lines:
+                    say(f"{name} | {line.rstrip()}")
 
     thread = threading.Thread(target=relay, daemon=True)
     thread.start()

@@ -27,8 +27,8 @@ class DemoConfig:
     suite, episodes: what is evaluated in the end.
     preview: the run of a shipped policy that shows, while play is collected, what this will come to.
     preview_task: the task that it shows.
-    state_loss, encoder_loss: held-out losses above which a training has taught too little to go on; measured, see
-        eval/results/README.md.
+    state_loss, encoder_loss: held-out losses, of the head and of where things are, above which a training has taught
+        too little to go on; measured, see eval/results/README.md.
     costs: stage -> what it costs, for the estimate of time.
     seed: of play and trainings.
     """

@@ -129,11 +129,12 @@ class _Demo:
             "encoder": self._training(self.config.encoder, "encoder"),
         }
         self._stage("learn", commands)
-        levels = {"state": self.config.state_loss, "encoder": self.config.encoder_loss}
-        for name, path in {"state": self.config.state, "encoder": self.config.encoder}.items():
+        for words, name, path, part, level in (
+            ("the state policy", "state", self.config.state, "head", self.config.state_loss),
+            ("the image encoder", "encoder", self.config.encoder, "achieved", self.config.encoder_loss),
+        ):
             planned = load_config(TrainConfig, path).steps
-            words = {"state": "the state policy", "encoder": "the image encoder"}[name]
-            trouble = judge_training(words, self.out / name, levels[name], planned)
+            trouble = judge_training(words, self.out / name, part, level, planned)
             if trouble:
                 raise PlaylearnError(f"the demo ends here: {trouble}")
 
