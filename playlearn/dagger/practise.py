@@ -77,11 +77,11 @@ def practise(practice: Practice, numbers: Sequence[int], out: Path, workers: int
     with (
         NativeStore.open(store).writer(),
         LocalExecutorConfig(workers=workers).build() as executor,
-        Progress(title, len(numbers), "episode", done) as progress,
+        Progress(title, len(numbers), "episode", done, executor.workers) as progress,
     ):
         for result in executor.run(jobs):
             done += result.value
-            progress.to(done)
+            progress.to(done, seconds=result.seconds)
     rows = [row for cohort in cohorts for row in json.loads(_note(notes, cohort).read_text())]
     return [Tried(**row) for row in rows]
 

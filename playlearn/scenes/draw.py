@@ -80,10 +80,10 @@ def draw_scenes(
         return
     with (
         LocalExecutorConfig(workers=workers).build() as executor,
-        Progress(f"scenes {folder}", len(store), "episode", begun=len(store) - len(jobs)) as progress,
+        Progress(f"scenes {folder}", len(store), "episode", len(store) - len(jobs), executor.workers) as progress,
     ):
-        for count, _ in enumerate(executor.run(jobs), len(store) - len(jobs) + 1):
-            progress.to(count)
+        for count, result in enumerate(executor.run(jobs), len(store) - len(jobs) + 1):
+            progress.to(count, seconds=result.seconds)
 
 
 def scene_sizes(store: Store, cameras: Sequence[str]) -> dict[str, tuple[int, int]]:
