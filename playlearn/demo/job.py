@@ -203,6 +203,7 @@ class _Demo:
             "seconds": round(seconds, 1),
             "estimated_seconds": round(estimated, 1),
             "core_seconds": {key: round(one.core_seconds, 1) for key, one in done.items()},
+            "reference_seconds": round(self.reference.simulation + self.reference.learning, 3),
         }
         atomic_write(self.out / RECORD, json.dumps(self.record, indent=2).encode())
 
@@ -219,10 +220,12 @@ class _Demo:
         return core / max(1.0, min(cost.cores, available_cores()))
 
     def _table(self, results: Mapping[str, Any]) -> None:
-        stages = self.record["stages"]
-        for name, one in stages.items():
+        for name, one in self.record["stages"].items():
             core = sum(one["core_seconds"].values())
-            self.say(f"{name:<20} {one['seconds']:6.0f} s  {core:6.0f} core seconds")
+            ratio = core / one["reference_seconds"]
+            self.say(
+                f"{name:<20} {one['seconds']:6.0f} s  {core:6.0f} core seconds  {ratio:6.0f} x the reference workload"
+            )
         low, high = results["ci95"]
         self.say(
             f"goal images reached: {results['success_rate']:.1%} [{low:.1%}, {high:.1%}] of {results['episodes']}\n"
