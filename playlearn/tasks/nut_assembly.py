@@ -349,7 +349,8 @@ def _cost(way: float, left: float) -> float:
 
 def _beyond(angle: float) -> float:
     """How far it is outside of what the wrist can surely turn to, rad."""
-    return max(0.0, _LOWEST - angle, angle - _HIGHEST)
+    worst: float = max(0.0, _LOWEST - angle, angle - _HIGHEST)
+    return worst
 
 
 def _down(angle: float) -> Array:
