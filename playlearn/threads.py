@@ -32,8 +32,11 @@ def limit(threads: int = 1) -> None:
     other (torch's inter-op threads) always have one, as nothing here uses more; no variable says so, which is why this
     is called again once torch is there. llvmpipe reads its variable when the first context is made.
     """
-    os.environ.update(environment(threads))
     torch, numba = sys.modules.get("torch"), sys.modules.get("numba")
+    variables = environment(threads)
+    if numba is not None:  # it reads its variable again with every compilation, and refuses another number
+        del variables["NUMBA_NUM_THREADS"]
+    os.environ.update(variables)
     if torch is not None:
         torch.set_num_threads(threads)
         if torch.get_num_interop_threads() != 1:
