@@ -251,7 +251,7 @@ class _Worker:
         context = multiprocessing.get_context("spawn")
         self.pipe, theirs = context.Pipe()
         self.process: SpawnProcess = context.Process(target=_serve, args=(theirs,), daemon=True)
-        with _environment(environment()):
+        with with_environment(environment()):
             self.process.start()
         theirs.close()
         self.task: _Task | None = None
@@ -360,7 +360,7 @@ def _portable(error: Exception) -> Exception:
 
 
 @contextmanager
-def _environment(variables: Mapping[str, str]) -> Iterator[None]:
+def with_environment(variables: Mapping[str, str]) -> Iterator[None]:
     """`os.environ` with these variables while a child is started, which inherits them."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)

@@ -187,7 +187,7 @@ def test_training_makes_corrections_once_and_learns_from_them(tmp_path: Path, mo
         "heldout_batches": 0,
         "cpu": True,
     }
-    monkeypatch.setattr("playlearn.train.make_corrections", functools.partial(make_corrections, workers=0))
+    monkeypatch.setattr("playlearn.train.job.make_corrections", functools.partial(make_corrections, workers=0))
     train(from_dict(TrainConfig, fields), tmp_path / "run")
     made = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "shared" / "episodes").iterdir()}
     assert made

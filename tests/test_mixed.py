@@ -46,7 +46,7 @@ def taken(batches: Iterator[Batch], count: int) -> list[Batch]:
 
 
 def same(one: Batch, other: Batch) -> bool:
-    names = [entry.name for entry in fields(Batch) if entry.name not in ("images", "goal_images")]
+    names = [entry.name for entry in fields(Batch) if not isinstance(getattr(one, entry.name), dict)]
     return all(torch.equal(getattr(one, name), getattr(other, name)) for name in names)
 
 

@@ -13,7 +13,8 @@ from pathlib import Path
 
 from playlearn.config.schema import nearest
 from playlearn.errors import PlaylearnError, UsageError
-from playlearn.threads import limit
+from playlearn.executor import with_environment
+from playlearn.threads import environment, limit
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,8 @@ def _apart(measure: Benchmark, size: Size) -> Generator[Figure]:
     context = get_context("spawn")
     here, there = context.Pipe(duplex=False)
     process = context.Process(target=_hand_over, args=(measure, size, there))
-    process.start()
+    with with_environment(environment()):
+        process.start()
     there.close()
     try:
         while (figure := _next(here)) is not None:

@@ -1,6 +1,5 @@
 """Learn a policy from a store of play: the root that builds every part and hands it over."""
 
-import dataclasses
 import json
 import math
 import sys
@@ -8,127 +7,30 @@ import threading
 import time
 from collections.abc import Generator, Mapping
 from contextlib import closing
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import numpy as np
 import torch
 from accelerate import Accelerator
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from playlearn.config import atomic_write, git_revision, load_config, save_config, to_dict, versions
-from playlearn.corrections import Corrections, CorrectionsConfig, make_corrections
-from playlearn.data import Batch, DataConfig, PlayDataset, held_out, statistics
-from playlearn.errors import NotLearnedError, UsageError
+from playlearn.config import atomic_write, git_revision, save_config, to_dict, versions
+from playlearn.corrections import Corrections, make_corrections
+from playlearn.data import Batch, PlayDataset, held_out, statistics
+from playlearn.errors import NotLearnedError
 from playlearn.executor import interruption_deferred
-from playlearn.mixed import Mixed, Source, mix
-from playlearn.policies import Policy, PolicyConfig, PolicySpec
+from playlearn.mixed import Mixed, mix
+from playlearn.policies import Policy, PolicySpec
 from playlearn.policies.checkpoint import load_checkpoint, save_checkpoint
 from playlearn.policies.ema import averaged
 from playlearn.report.outcome import Outcome
 from playlearn.report.progress import Pace, Progress
-from playlearn.scenes import Scenes, ScenesConfig, draw_scenes, scene_sizes
-from playlearn.store import Store, StoreConfig, open_store
+from playlearn.scenes import Scenes, draw_scenes, scene_sizes
+from playlearn.store import Store, open_store
 from playlearn.threads import limit
-
-# What may differ between a run and its resumption: how long it goes on, and what it says meanwhile.
-ADJUSTABLE = ("steps", "max_minutes", "heldout_every", "checkpoint_every", "log_every", "tracker")
-
-
-@dataclass(frozen=True)
-class TrainConfig:
-    """A training run.
-
-    store: the play, a folder or a kind with its settings (`{type: lerobot, repo_id: user/name}`). data: how examples
-    are cut from it; its history, chunk, cameras and goal_names are the policy's.
-    corrections: moments with the hand put aside and the way back as label, made before the first update and shown
-    among the recorded ones (see CorrectionsConfig); null for none.
-    scenes: images that the simulator draws of the store's recorded states and of others, with the true state, for an
-    image encoder to learn from (see ScenesConfig); null for none.
-    more: further play beside it, each store with its share of every batch. init: a run from whose policy training goes
-    on, its weights, normaliser and all; null for a fresh one. A policy of states gives all but the eyes to one that
-    reads its numbers off images (`feed_estimate`), the rest of the policy being the same.
-    learn: shell-style patterns of the parameters that are trained; all others stay as they are.
-    batch_size: examples an update and process. steps: updates, unless max_minutes of wall clock are over
-    before; the learning rate then falls with whichever is further on, and a resumed run is no longer bit for
-    bit an unbroken one. lr: peak learning rate, after `warmup` updates, then a cosine to zero.
-    grad_clip: largest norm of the gradient. ema_decay: of the averaged weights, which are evaluated and saved.
-    heldout_every, checkpoint_every, log_every: in updates. heldout_batches: of held-out play, always the same.
-    tracker: where metrics go besides `metrics.jsonl`. precision: float32, or bf16 where the device is good at it.
-    cpu: stay off an accelerator that is there. threads: of the processor, for each process, whatever a launcher says.
-    On two cores, two are 1.3 times as quick as one while nothing else runs; beside a busy process, a quarter as quick.
-    """
-
-    store: Path | StoreConfig = Path("datasets/play")
-    data: DataConfig = field(default_factory=DataConfig)
-    policy: PolicyConfig = field(default_factory=PolicyConfig)
-    corrections: CorrectionsConfig | None = None
-    scenes: ScenesConfig | None = None
-    more: tuple[Source, ...] = ()
-    init: Path | None = None
-    learn: tuple[str, ...] = ("*",)
-    batch_size: int = 256
-    steps: int = 20_000
-    max_minutes: float | None = None
-    lr: float = 5e-4
-    warmup: int = 200
-    weight_decay: float = 1e-3
-    grad_clip: float = 1.0
-    ema_decay: float = 0.999
-    heldout_every: int = 1000
-    heldout_batches: int = 4
-    checkpoint_every: int = 1000
-    log_every: int = 100
-    seed: int = 0
-    tracker: Literal["tensorboard", "wandb"] | None = None
-    precision: Literal["float32", "bf16"] = "float32"
-    cpu: bool = False
-    threads: int = 1
-
-    def __post_init__(self) -> None:
-        """Raises UsageError where a number is out of range."""
-        for name in (
-            "batch_size",
-            "steps",
-            "lr",
-            "heldout_every",
-            "checkpoint_every",
-            "log_every",
-            "grad_clip",
-            "threads",
-        ):
-            if getattr(self, name) <= 0:
-                raise UsageError(f"{name} must be above 0, got {getattr(self, name)}")
-        if self.max_minutes is not None and self.max_minutes <= 0:
-            raise UsageError(f"max_minutes must be above 0 or null, got {self.max_minutes}")
-        if self.corrections is not None and self.data.labels == "change":
-            raise UsageError("corrections teach actions: leave them out where data.labels is change")
-        if self.scenes is not None:
-            if self.policy.history > 1:
-                raise UsageError("scenes are single moments: leave policy.history at 1")
-            rest = 1 - self.scenes.fraction - sum(source.share for source in self.more)
-            if rest <= 0 and not (self.scenes.fraction == 1 and not self.more):
-                raise UsageError(
-                    "scenes.fraction and the shares of `more` leave nothing to the play: let them add up to less"
-                )
-        if not 0 <= self.ema_decay < 1:
-            raise UsageError(f"ema_decay must be in [0, 1), got {self.ema_decay}")
-
-    def resolved(self) -> "TrainConfig":
-        """With the fields of `data` that the policy decides."""
-        encoder = self.policy.encoder
-        of_play = self.scenes is None or self.scenes.fraction < 1  # else nothing of the play itself is looked at
-        decided: dict[str, Any] = {
-            "history": self.policy.history,
-            "chunk": self.policy.chunk,
-            "cameras": encoder.observation_cameras if of_play else (),
-            "goal_cameras": encoder.goal_cameras if of_play else (),
-            "goal_names": encoder.goal_names,
-        }
-        more = [dataclasses.replace(m, data=dataclasses.replace(m.data or self.data, **decided)) for m in self.more]
-        return dataclasses.replace(self, data=dataclasses.replace(self.data, **decided), more=tuple(more))
+from playlearn.train.config import TrainConfig, check_out, flattened, stored_threads
+from playlearn.train.examples import check_cameras, drawn_scenes, held_out_batches, held_out_scenes
 
 
 def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
@@ -145,11 +47,11 @@ def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
         KeyboardInterrupt: on Ctrl-C, after the update in hand and a checkpoint.
     """
     config = config.resolved()
-    _check_out(config, out, resume)
-    threads = _threads(config, out, resume)
+    check_out(config, out, resume=resume)
+    threads = stored_threads(config, out, resume=resume)
     limit(threads)
     store = open_store(config.store)
-    _check_cameras(config, store)
+    check_cameras(config, store)
     run = _Run(config, store, out)
     if resume and run.checkpoint.is_file():
         run.load()
@@ -177,7 +79,7 @@ class _Run:
             project_dir=str(out),
         )
         self.data = config.data.build(store, "train", config.seed)
-        self.heldout = _heldout(config, store)
+        self.heldout = held_out_batches(config, store)
         changes = config.data.labels == "change"
         self.spec = PolicySpec(
             state_names=store.spec.state_names,
@@ -228,29 +130,21 @@ class _Run:
 
     def draw(self) -> None:
         """Draw what scenes are asked for, and show them."""
-        scenes, encoder = self.config.scenes, self.config.policy.encoder
+        config, scenes = self.config, self.config.scenes
         if scenes is None:
             return
-        folder, out = scenes.folder or self.out / "scenes", held_out(self.store, self.config.data.heldout_share)
-        cameras, goal_cameras = encoder.observation_cameras, encoder.goal_cameras
+        folder, out = scenes.folder or self.out / "scenes", held_out(self.store, config.data.heldout_share)
         if self.accelerator.is_main_process:
-            draw_scenes(scenes, self.store, out, cameras, folder)
+            draw_scenes(scenes, self.store, out, config.policy.encoder.observation_cameras, folder)
         self.accelerator.wait_for_everyone()
-        numbers, seed = self.store.indices(), self.config.seed
-
-        def drawn_of(episodes: NDArray[np.int64]) -> Scenes:
-            shape = self.config.policy.chunk, len(self.spec.action_names)
-            return Scenes(folder, episodes, cameras=cameras, goal_cameras=goal_cameras, labels=shape, seed=seed)
-
-        drawn = drawn_of(numbers[~out])
+        numbers, actions = self.store.indices(), len(self.spec.action_names)
+        drawn = drawn_scenes(config, folder, numbers[~out], actions)
         if scenes.fraction < 1:
-            self.examples = mix(self.data, self.config.more, seed, [(drawn, scenes.fraction)])
+            self.examples = mix(self.data, config.more, config.seed, [(drawn, scenes.fraction)])
             return
         self.examples = drawn
         if out.any():
-            held = drawn_of(numbers[out])
-            order = held.epoch_indices(0)[: self.config.heldout_batches * self.config.batch_size]
-            self.heldout = [held.batch(part) for part in _parts(order, self.config.batch_size)]
+            self.heldout = held_out_scenes(config, drawn_scenes(config, folder, numbers[out], actions))
 
     def correct(self) -> None:
         """Make what corrections are asked for, and show them."""
@@ -266,7 +160,7 @@ class _Run:
     def loop(self, interrupted: threading.Event, progress: Progress) -> None:
         config, accelerator = self.config, self.accelerator
         if config.tracker:
-            accelerator.init_trackers("playlearn", config=_flat(to_dict(config)))
+            accelerator.init_trackers("playlearn", config=flattened(to_dict(config)))
         rank, ranks = accelerator.process_index, accelerator.num_processes
         batches = cast(Generator[Batch], self.examples.batches(config.batch_size, self.step, rank, ranks))
         window = _Window()
@@ -448,57 +342,6 @@ class _Window:
         return self.latest
 
 
-def _check_out(config: TrainConfig, out: Path, resume: bool) -> None:
-    if not resume:
-        if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise UsageError(f"{out} is there already: choose another --out, or go on with it by --resume")
-        return
-    if not (out / "config.yaml").is_file():
-        raise UsageError(f"there is no run at {out} to resume; start it without --resume")
-    before, now = to_dict(load_config(TrainConfig, out / "config.yaml")), to_dict(config)
-    changed = sorted(
-        name
-        for name in _flat(before).keys() | _flat(now).keys()
-        if _flat(before).get(name) != _flat(now).get(name) and name not in ADJUSTABLE
-    )
-    if changed:
-        raise UsageError(f"{out} was trained with another {', '.join(changed)}: give the same config, or another --out")
-
-
-def _threads(config: TrainConfig, out: Path, resume: bool) -> int:
-    """As the run began: one of before `threads` was a setting took what torch chose."""
-    record = out / "run.json"
-    if resume and record.is_file():
-        return int(json.loads(record.read_text(encoding="utf-8")).get("threads", config.threads))
-    return config.threads
-
-
-def _check_cameras(config: TrainConfig, store: Store) -> None:
-    has = store.cameras()
-    missing = [camera for camera in (*config.data.cameras, *config.data.goal_cameras) if camera not in has]
-    if missing:
-        missing = list(dict.fromkeys(missing))
-        there = ", ".join(f"{camera} {h}x{w}" for camera, (h, w) in has.items()) or "none"
-        wanted = " ".join(f"--camera {camera}=64x64" for camera in missing)
-        drawn = f"`playlearn render {store.name()} OUT {wanted}` draws them from its simulator states"
-        chosen = "name its own in `policy.encoder`"
-        way = drawn if store.array(0, "sim.state").shape[1] else chosen
-        raise UsageError(f"{store.name()} has no images of {', '.join(missing)} (it has: {there}); {way}")
-
-
-def _heldout(config: TrainConfig, store: Store) -> list[Batch]:
-    if config.data.heldout_share <= 0 or config.heldout_batches <= 0:
-        return []
-    dataset: PlayDataset = config.data.build(store, "heldout", config.seed)
-    order = dataset.epoch_indices(0)[: config.heldout_batches * config.batch_size]
-    return [dataset.batch(0, part) for part in _parts(order, config.batch_size)]
-
-
-def _parts(order: NDArray[np.int64], size: int) -> list[NDArray[np.int64]]:
-    """As few parts, as equal, as hold at most `size` each."""
-    return np.array_split(order, max(1, math.ceil(len(order) / size)))
-
-
 def _cosine(share: float) -> float:
     return 0.5 * (1 + math.cos(math.pi * share))
 
@@ -507,14 +350,3 @@ def _generator(*words: int) -> torch.Generator:
     """A generator that depends on these numbers alone."""
     seed = np.random.SeedSequence([word & 0xFFFFFFFF for word in words]).generate_state(1, np.uint64)[0]
     return torch.Generator().manual_seed(int(seed) & 0x7FFFFFFFFFFFFFFF)
-
-
-def _flat(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """{"a": {"b": 1}} -> {"a.b": 1}; what is neither number nor text is written as text."""
-    flat: dict[str, Any] = {}
-    for name, value in nested.items():
-        if isinstance(value, Mapping):
-            flat |= _flat(value, f"{prefix}{name}.")
-        else:
-            flat[prefix + name] = value if isinstance(value, bool | int | float | str) else str(value)
-    return flat
