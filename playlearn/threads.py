@@ -6,11 +6,13 @@ they compute depends neither on the number of cores nor on how many processes th
 """
 
 import ctypes
+import functools
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 _NUMERICS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 _MAPS = Path("/proc/self/maps")
@@ -44,8 +46,8 @@ def limit(threads: int = 1) -> None:
                 torch.set_num_interop_threads(1)
     if numba is not None and numba.config.NUMBA_NUM_THREADS > 1:  # as many as it was imported with; fewer can be used
         numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
-    for library, before, after in _openblas():
-        getattr(library, f"{before}set_num_threads{after}")(threads)
+    for set_threads, _ in _openblas():
+        set_threads(threads)
 
 
 def in_force() -> dict[str, int]:
@@ -62,19 +64,28 @@ def in_force() -> dict[str, int]:
         import numba
 
         found["numba"] = numba.get_num_threads()
-    counts = [int(getattr(library, f"{before}get_num_threads{after}")()) for library, before, after in _openblas()]
+    counts = [int(get_threads()) for _, get_threads in _openblas()]
     return found | ({"openblas": max(counts)} if counts else {})
 
 
-def _openblas() -> Iterator[tuple[ctypes.CDLL, str, str]]:
-    """Each OpenBLAS in this process, with what stands before and after the names of its functions."""
+def _openblas() -> Iterator[tuple[Callable[[int], Any], Callable[[], Any]]]:
+    """Of each OpenBLAS in this process, how its threads are set and asked for."""
     if not _MAPS.exists():
         return
     lines = (line.split(maxsplit=5) for line in _MAPS.read_text(encoding="utf-8", errors="replace").splitlines())
     files = {words[5] for words in lines if len(words) == 6 and "openblas" in Path(words[5]).name}
     for file in sorted(files):
-        library = ctypes.CDLL(file)
-        for before, after in _OPENBLAS:
-            if hasattr(library, f"{before}set_num_threads{after}"):
-                yield library, before, after
-                break
+        found = _functions(file)
+        if found is not None:
+            yield found
+
+
+@functools.cache
+def _functions(file: str) -> tuple[Callable[[int], Any], Callable[[], Any]] | None:
+    library = ctypes.CDLL(file)
+    for before, after in _OPENBLAS:
+        if hasattr(library, f"{before}set_num_threads{after}"):
+            names = (f"{before}{verb}_num_threads{after}" for verb in ("set", "get"))
+            set_threads, get_threads = (getattr(library, name) for name in names)
+            return set_threads, get_threads
+    return None
