@@ -95,8 +95,9 @@ def test_collecting_costs_the_same_for_every_episode(
 
 
 def test_collecting_keeps_nothing_of_an_episode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """60 episodes after the first 120, of which the progress remembers 100, leave less than 20 kB: little more than a path
-    of each, which Python keeps.
+    """60 episodes after the first 120, of which the progress remembers 100, leave less than 20 kB.
+
+    That is little more than the path of each, which Python keeps.
     """
     memory: list[int] = []
     with traced():

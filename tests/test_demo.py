@@ -33,17 +33,17 @@ def test_commands_run_side_by_side_and_are_heard(tmp_path: Path) -> None:
 
     heard: list[str] = []
     ticks: list[int] = []
-    commands = {"a": [[meet("one", "two")], ["print('then')"]], "b": [[meet("two", "one")]]}
+    commands = {"a": [meet("one", "two")], "b": [meet("two", "one")]}
     done = run_together(commands, heard.append, lambda: ticks.append(1), PYTHON)
     assert {name: one.code for name, one in done.items()} == {"a": 0, "b": 0}
-    assert sorted(heard) == ["a | one", "a | then", "b | two"], "of one name one after the other"
+    assert sorted(heard) == ["a | one", "b | two"]
     assert ticks
     assert all(one.core_seconds > 0 for one in done.values())
 
 
 def test_where_one_fails_the_others_are_stopped() -> None:
     done = run_together(
-        {"bad": [["raise SystemExit(3)"], ["never"]], "long": [["import time; time.sleep(10_000)"], ["never"]]},
+        {"bad": ["raise SystemExit(3)"], "long": ["import time; time.sleep(10_000)"]},
         lambda _: None,
         lambda: None,
         PYTHON,
@@ -97,10 +97,10 @@ class Commands:
         self.given: dict[str, list[str]] = {}
 
     def __call__(
-        self, commands: Mapping[str, Sequence[Sequence[str]]], say: Callable[[str], None], tick: Callable[[], None]
+        self, commands: Mapping[str, Sequence[str]], say: Callable[[str], None], tick: Callable[[], None]
     ) -> dict[str, Done]:
         self.called.append(sorted(commands))
-        self.given |= {name: [word for words in chain for word in words] for name, chain in commands.items()}
+        self.given |= {name: list(words) for name, words in commands.items()}
         if "policy" in commands:
             for name, loss in self.losses.items():
                 metrics(self.out / name, 1.0, loss, every=50)
@@ -139,7 +139,7 @@ def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., tuple[
 
 def test_every_stage_is_done_once(run: Callable[..., Any], tmp_path: Path) -> None:
     first, said = run()
-    assert first.called == [["film", "play"], ["encoder", "policy"], ["eval"]]
+    assert first.called == [["film", "play"], ["encoder", "policy"], ["practice"], ["eval"]]
     record = json.loads((tmp_path / "demo" / "demo.json").read_text())
     assert list(record["stages"]) == list(STAGES)
     assert record["stages"]["learn"]["core_seconds"] == {"policy": 3.0, "encoder": 3.0}
@@ -150,10 +150,10 @@ def test_every_stage_is_done_once(run: Callable[..., Any], tmp_path: Path) -> No
 
 
 def test_the_time_is_estimated_from_the_reference(run: Callable[..., Any]) -> None:
-    """10 times 2 s and 20 times 1 s of core are 20 s on two cores, for each of three stages."""
+    """10 times 2 s and 20 times 1 s of core are 20 s on two cores, for each of four stages."""
     _, said = run()
     assert any("learn" in line and "about 20 s" in line for line in said)
-    assert any("all" in line and "about 60 s, on 2 cores" in line for line in said)
+    assert any("all" in line and "about 80 s, on 2 cores" in line for line in said)
 
 
 @pytest.mark.parametrize(
@@ -161,7 +161,7 @@ def test_the_time_is_estimated_from_the_reference(run: Callable[..., Any]) -> No
     [
         ({"state": 0.11}, 2, "the demo ends here: the state policy: its held-out loss is 0.11"),
         ({"encoder": 0.7}, 2, "the demo ends here: the image encoder"),
-        ({"success": 0.1}, 3, "that is no better than chance"),
+        ({"success": 0.1}, 4, "that is no better than chance"),
     ],
 )
 def test_a_stage_that_came_to_nothing_ends_in_an_error(
@@ -177,7 +177,7 @@ def test_fewer_updates_are_handed_on(run: Callable[..., Any]) -> None:
     fake, _ = run(steps=50)
     assert "--steps=50" in fake.given["policy"]
     assert "--steps=50" in fake.given["encoder"]
-    assert "--updates=50" in fake.given["policy"]
+    assert "--updates=50" in fake.given["practice"]
 
 
 def test_another_config_or_a_strange_folder_is_refused(run: Callable[..., Any], tmp_path: Path) -> None:
@@ -200,7 +200,7 @@ def test_the_shipped_config_is_whole() -> None:
     assert state.policy.chunk == encoder.policy.chunk
     assert state.max_minutes is None
     assert encoder.max_minutes is None
-    assert load_config(DaggerConfig, ROOT / config.dagger).goal == "state"
+    assert load_config(DaggerConfig, ROOT / config.dagger).goal == "image"
     assert (ROOT / config.preview / "policy").is_dir()
     assert 0 < config.state_loss < 1
     assert 0 < config.encoder_loss < 10

@@ -23,42 +23,28 @@ class Done:
 
 
 def run_together(
-    commands: Mapping[str, Sequence[Sequence[str]]],
+    commands: Mapping[str, Sequence[str]],
     say: Callable[[str], None],
     tick: Callable[[], None],
     program: Sequence[str] = PLAYLEARN,
 ) -> dict[str, Done]:
-    """Run `program ARGUMENTS...`: of each name one after the other, the names at once; where one fails all are stopped.
+    """Run `program ARGUMENTS...` for each name at once, to their ends; where one fails the others are stopped.
 
     say: hears each line with the command's name before it. tick: called several times a second.
 
     Raises:
         KeyboardInterrupt: on Ctrl-C, which the commands hear too, once all have ended.
     """
-    chains = {name: [[*program, *arguments] for arguments in chain] for name, chain in commands.items()}
-    running, readers, done = dict[str, "subprocess.Popen[str]"](), list[threading.Thread](), dict[str, Done]()
-    began, spent, interrupted = time.monotonic(), dict.fromkeys(chains, 0.0), False
-
-    def start(name: str) -> None:
-        running[name] = _start(chains[name].pop(0))
-        readers.append(_read(name, running[name], say))
-
-    for name in chains:
-        start(name)
-    while running:
+    running = {name: _start([*program, *arguments]) for name, arguments in commands.items()}
+    readers = [_read(name, process, say) for name, process in running.items()]
+    began, done, interrupted = time.monotonic(), dict[str, Done](), False
+    while len(done) < len(running):
         try:
-            for name, process in list(running.items()):
-                if (ended := _ended(process)) is None:
-                    continue
-                del running[name]
-                spent[name] += ended[1]
-                if ended[0] != 0:
-                    _stop(list(running.values()))
-                    chains = {key: [] for key in chains}  # nothing more is begun
-                if ended[0] == 0 and chains[name] and not interrupted:
-                    start(name)
-                else:
-                    done[name] = Done(ended[0], time.monotonic() - began, spent[name])
+            for name, process in running.items():
+                if name not in done and (ended := _ended(process)) is not None:
+                    done[name] = Done(ended[0], time.monotonic() - began, ended[1])
+                    if ended[0] != 0:
+                        _stop([other for key, other in running.items() if key not in done])
             tick()
             time.sleep(POLL)
         except KeyboardInterrupt:  # the whole group has heard it; each command keeps what is finished

@@ -22,8 +22,8 @@ class Cost:
 class DemoConfig:
     """The demo's stages; each is a config of its own, budgeted in episodes and updates, not in minutes.
 
-    collect, state, dagger, encoder: configs of the play, of the state policy that learns from it and of its DAgger, and
-        of the image encoder that learns beside them.
+    collect, state, encoder, dagger: configs of the play, of the state policy and the image encoder that learn from it
+        side by side, and of the policy's practice behind that encoder.
     suite, episodes: what is evaluated in the end.
     preview: the run of a shipped policy that shows, while play is collected, what this will come to.
     preview_task: the task that it shows.

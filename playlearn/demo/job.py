@@ -1,9 +1,9 @@
-"""`playlearn demo`: three stages, each done once.
+"""`playlearn demo`: four stages, each done once.
 
 OUT/play/                   the play
 OUT/preview/report.html     what a shipped policy does, to be looked at meanwhile
-OUT/state/, OUT/practice/   on one core: the state policy, and its DAgger
-OUT/encoder/                on the other core: the image encoder
+OUT/state/, OUT/encoder/    the state policy and the image encoder, trained side by side
+OUT/practice/               a DAgger run of the state policy behind the encoder
 OUT/run/                    the two as one policy, a run like any other
 OUT/eval/                   its evaluation on goal images
 OUT/demo.json               what each stage cost, written when it is done: a stage that stands there is not done again
@@ -31,7 +31,7 @@ from playlearn.train import TrainConfig
 RECORD = "demo.json"
 STOPPED = (130, -15)  # exit codes of who was asked to end
 EVERY = 60.0  # seconds between two estimates of the time left
-STAGES = ("collect play", "learn", "reach goal images")
+STAGES = ("collect play", "learn", "practice", "reach goal images")
 
 
 def demo(config: DemoConfig, out: Path, *, steps: int | None = None, say: Callable[[str], None] | None = None) -> None:
@@ -49,6 +49,7 @@ def demo(config: DemoConfig, out: Path, *, steps: int | None = None, say: Callab
     job.estimate()
     job.collect()
     job.learn()
+    job.practice()
     job.evaluate()
 
 
@@ -119,19 +120,19 @@ class _Demo:
                 if sys.stdout.isatty():
                     webbrowser.open(page.resolve().as_uri())
 
-        commands = {"play": [play]} if told else {"play": [play], "film": [shown]}
+        commands = {"play": play} if told else {"play": play, "film": shown}
         self._stage("collect play", commands, watch)
 
     def learn(self) -> None:
-        """The state policy and its practice; beside them the image encoder. Then the two become one run.
+        """The state policy and the image encoder, side by side.
 
         Raises:
             PlaylearnError: one of them has learned too little to go on.
         """
         config = self.config
         commands = {
-            "policy": [self._training(config.state, "state"), self._practice()],
-            "encoder": [self._training(config.encoder, "encoder")],
+            "policy": self._training(config.state, "state"),
+            "encoder": self._training(config.encoder, "encoder"),
         }
         self._stage("learn", commands)
         for words, name, path, part, level in (
@@ -142,14 +143,31 @@ class _Demo:
             trouble = judge_training(words, self.out / name, part, level, planned)
             if trouble:
                 raise PlaylearnError(f"the demo ends here: {trouble}")
-        join_runs(self.out / "practice", self.out / "encoder", self.out / "run")
+
+    def practice(self) -> None:
+        """DAgger behind the encoder; then the two become one run."""
+        folder = self.out / "practice"
+        command = [
+            "dagger",
+            "--config",
+            str(self.config.dagger),
+            "--run",
+            str(self.out / "state"),
+            "--out",
+            str(folder),
+        ]
+        command += [f"--encoder={self.out / 'encoder'}", f"--seed={self.config.seed}"]
+        command += ["--resume"] if (folder / "dagger.yaml").is_file() else []
+        command += [] if self.steps is None else [f"--updates={self.steps}"]
+        self._stage("practice", {"practice": command})
+        join_runs(folder, self.out / "encoder", self.out / "run")
 
     def evaluate(self) -> None:
         """Goal images that it has never seen; raises PlaylearnError where that is no better than chance."""
         folder = self.out / "eval"
         command = ["eval", "--run", str(self.out / "run"), "--suite", str(self.config.suite), "--goal", "image"]
         command += ["--episodes", str(self.config.episodes), "--out", str(folder)]
-        self._stage("reach goal images", {"eval": [command]})
+        self._stage("reach goal images", {"eval": command})
         results = json.loads((folder / "results.json").read_text())
         self._table(results)
         trouble = judge_success(results)
@@ -163,25 +181,7 @@ class _Demo:
         command += ["--resume"] if (run / "config.yaml").is_file() else []
         return command + ([] if self.steps is None else [f"--steps={self.steps}"])
 
-    def _practice(self) -> list[str]:
-        """One worker: the other core is the encoder's."""
-        folder = self.out / "practice"
-        command = [
-            "dagger",
-            "--config",
-            str(self.config.dagger),
-            "--run",
-            str(self.out / "state"),
-            "--out",
-            str(folder),
-        ]
-        command += [f"--seed={self.config.seed}", "--workers", "1"]
-        command += ["--resume"] if (folder / "dagger.yaml").is_file() else []
-        return command + ([] if self.steps is None else [f"--updates={self.steps}"])
-
-    def _stage(
-        self, name: str, commands: Mapping[str, Sequence[Sequence[str]]], watch: Callable[[], None] | None = None
-    ) -> None:
+    def _stage(self, name: str, commands: Mapping[str, Sequence[str]], watch: Callable[[], None] | None = None) -> None:
         """Run a stage's commands, unless it is done; write down what it cost."""
         if name in self.record["stages"]:
             self.say(f"== {name}: done already")
