@@ -37,7 +37,7 @@ strips: ## film strips of clean, human and noisy play, into eval/results/play
 test: setup ## the tests
 	@$(ONE_THREAD) $(PY) -m pytest $(PYTEST)
 
-test-quick: setup ## a law or more of every module, in less than a minute: all tests but those marked slow
+test-quick: setup ## a law or more of every module: all tests but those marked slow
 	@$(ONE_THREAD) $(PY) -m pytest $(PYTEST) -m "not slow"
 
 coverage: setup ## the tests, and how much of playlearn/ they run
