@@ -149,6 +149,27 @@ def test_every_stage_is_done_once(run: Callable[..., Any], tmp_path: Path) -> No
     assert sum("done already" in line for line in said) == len(STAGES)
 
 
+def test_one_that_was_interrupted_in_its_first_stage_goes_on(
+    run: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Some play lies there and no stage is done: that is still a demo's folder."""
+
+    def interrupted(*_: object) -> None:
+        (tmp_path / "demo" / "play").mkdir()
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.chdir(ROOT)
+        patch.setattr(job, "measure", lambda: Reference(2.0, 1.0))
+        patch.setattr(job, "run_together", interrupted)
+        costs = {name: Cost(simulation=10, learning=20) for name in STAGES}
+        with pytest.raises(KeyboardInterrupt):
+            demo(DemoConfig(state_loss=0.1, encoder_loss=0.5, costs=costs), tmp_path / "demo", say=lambda _: None)
+    fake, said = run()
+    assert len(fake.called) == len(STAGES)
+    assert not said[-1].startswith("ERROR")
+
+
 def test_the_time_is_estimated_from_the_reference(run: Callable[..., Any]) -> None:
     """10 times 2 s and 20 times 1 s of core are 20 s on two cores, for each of four stages."""
     _, said = run()

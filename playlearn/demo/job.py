@@ -64,7 +64,7 @@ class _Demo:
         self.record: dict[str, Any] = {}
         self.reference = Reference(0.0, 0.0)
         self.pace = 1.0  # how much longer the stages so far took than was estimated
-        self._said = self._began = time.monotonic()
+        self._said = time.monotonic()
 
     def claim(self) -> None:
         """Find what is done; raises UsageError where `out` was begun with another config."""
@@ -81,6 +81,11 @@ class _Demo:
             raise UsageError(f"{self.out} is there already and is no demo: choose another --out")
         self.out.mkdir(parents=True, exist_ok=True)
         self.record = {"config": given, "versions": versions(), "git_revision": git_revision(), "stages": {}}
+        self.write()  # from now on this is a demo's folder, wherever it is interrupted
+
+    def write(self) -> None:
+        """demo.json as it stands."""
+        atomic_write(self.out / RECORD, json.dumps(self.record, indent=2).encode())
 
     def estimate(self) -> None:
         """Time the reference workload and say how long everything will take."""
@@ -211,7 +216,7 @@ class _Demo:
             "core_seconds": {key: round(one.core_seconds, 1) for key, one in done.items()},
             "reference_seconds": round(self.reference.simulation + self.reference.learning, 3),
         }
-        atomic_write(self.out / RECORD, json.dumps(self.record, indent=2).encode())
+        self.write()
 
     def _check(self, name: str, done: Mapping[str, Done]) -> None:
         """Raises PlaylearnError where a command failed; those that were stopped because of it are not to blame."""
