@@ -52,6 +52,12 @@ def test_where_one_fails_the_others_are_stopped() -> None:
     assert done["long"].code == -15
 
 
+def test_what_is_optional_may_fail_alone() -> None:
+    commands = {"film": ["raise SystemExit(3)"], "play": ["import time; time.sleep(1)"]}
+    done = run_together(commands, lambda _: None, lambda: None, PYTHON, optional=("film",))
+    assert {name: one.code for name, one in done.items()} == {"film": 3, "play": 0}
+
+
 def metrics(run: Path, *losses: float, every: int = 10) -> None:
     run.mkdir(parents=True, exist_ok=True)
     lines = [
@@ -97,7 +103,7 @@ class Commands:
         self.given: dict[str, list[str]] = {}
 
     def __call__(
-        self, commands: Mapping[str, Sequence[str]], say: Callable[[str], None], tick: Callable[[], None]
+        self, commands: Mapping[str, Sequence[str]], say: Callable[[str], None], tick: Callable[[], None], **_: object
     ) -> dict[str, Done]:
         self.called.append(sorted(commands))
         self.given |= {name: list(words) for name, words in commands.items()}
@@ -154,7 +160,7 @@ def test_one_that_was_interrupted_in_its_first_stage_goes_on(
 ) -> None:
     """Some play lies there and no stage is done: that is still a demo's folder."""
 
-    def interrupted(*_: object) -> None:
+    def interrupted(*_: object, **__: object) -> None:
         (tmp_path / "demo" / "play").mkdir()
         raise KeyboardInterrupt
 

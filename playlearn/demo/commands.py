@@ -5,7 +5,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -27,10 +27,11 @@ def run_together(
     say: Callable[[str], None],
     tick: Callable[[], None],
     program: Sequence[str] = PLAYLEARN,
+    optional: Collection[str] = (),
 ) -> dict[str, Done]:
     """Run `program ARGUMENTS...` for each name at once, to their ends; where one fails the others are stopped.
 
-    say: hears each line with the command's name before it. tick: called several times a second.
+    optional: names that may fail without stopping anybody. say: hears each line with the command's name before it. tick: called several times a second.
 
     Raises:
         KeyboardInterrupt: on Ctrl-C, which the commands hear too, once all have ended.
@@ -43,7 +44,7 @@ def run_together(
             for name, process in running.items():
                 if name not in done and (ended := _ended(process)) is not None:
                     done[name] = Done(ended[0], time.monotonic() - began, ended[1])
-                    if ended[0] != 0:
+                    if ended[0] != 0 and name not in optional:
                         _stop([other for key, other in running.items() if key not in done])
             tick()
             time.sleep(POLL)

@@ -30,6 +30,7 @@ from playlearn.train import TrainConfig
 
 RECORD = "demo.json"
 STOPPED = (130, -15)  # exit codes of who was asked to end
+OPTIONAL = ("film",)  # only to be looked at
 EVERY = 60.0  # seconds between two estimates of the time left
 STAGES = ("collect play", "learn", "practice", "reach goal images")
 
@@ -206,7 +207,7 @@ class _Demo:
                 rest = max(0.0, estimated * pace - (now - began)) + pace * sum(map(self._estimated, left))
                 self.say(f"demo | about {_minutes(rest)} left in all")
 
-        done = run_together(commands, self.say, tick)
+        done = run_together(commands, self.say, tick, optional=OPTIONAL)
         self._check(name, done)
         seconds = time.monotonic() - began
         self.pace = seconds / max(estimated, 1e-9)
@@ -220,7 +221,7 @@ class _Demo:
 
     def _check(self, name: str, done: Mapping[str, Done]) -> None:
         """Raises PlaylearnError where a command failed; those that were stopped because of it are not to blame."""
-        failed = {key: one.code for key, one in done.items() if one.code != 0}
+        failed = {key: one.code for key, one in done.items() if one.code != 0 and key not in OPTIONAL}
         if failed:
             key = min(failed, key=lambda key: failed[key] in STOPPED)
             why = f"{key} ended with exit code {failed[key]} (it said why above)"
