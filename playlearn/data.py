@@ -263,12 +263,7 @@ class PlayDataset:
 
     def at(self, places: Indices, orders: dict[int, Indices]) -> Batch:
         """The batch at ascending places of all epochs laid end to end; `orders` keeps the current ones."""
-        epochs = places // len(self)
-        for epoch in set(orders) - set(epochs.tolist()):
-            del orders[epoch]
-        for epoch in set(epochs.tolist()) - set(orders):
-            orders[epoch] = self.epoch_indices(epoch)
-        indices = np.concatenate([orders[e][places[epochs == e] % len(self)] for e in np.unique(epochs).tolist()])
+        epochs, indices = laid_end_to_end(places, len(self), orders, self.epoch_indices)
         return self.batch(epochs, indices)
 
     def _frames(self, camera: str, episode: Indices, rows: Indices) -> torch.Tensor:
@@ -331,6 +326,22 @@ class PlayDataset:
         )
         weights = counts[kind.reshape(-1)] ** -float(self.config.balance)
         return np.asarray(np.cumsum(weights / weights.sum()), np.float64)
+
+
+def laid_end_to_end(
+    places: Indices, size: int, orders: dict[int, Indices], order: Callable[[int], Indices]
+) -> tuple[Indices, Indices]:
+    """The epoch, and the index in it, of ascending places of all epochs of `size` examples laid end to end.
+
+    order: epoch -> (size,) its indices in their order; `orders` keeps those of the current epochs.
+    """
+    epochs = places // size
+    current = np.unique(epochs).tolist()
+    for epoch in set(orders) - set(current):
+        del orders[epoch]
+    for epoch in set(current) - set(orders):
+        orders[epoch] = order(epoch)
+    return epochs, np.concatenate([orders[epoch][places[epochs == epoch] % size] for epoch in current])
 
 
 def statistics(dataset: PlayDataset) -> dict[str, Statistics]:

@@ -31,7 +31,8 @@ def run_together(
 ) -> dict[str, Done]:
     """Run `program ARGUMENTS...` for each name at once, to their ends; where one fails the others are stopped.
 
-    optional: names that may fail without stopping anybody. say: hears each line with the command's name before it. tick: called several times a second.
+    optional: names that may fail without stopping anybody.
+    say: hears each line with the command's name before it. tick: called several times a second.
 
     Raises:
         KeyboardInterrupt: on Ctrl-C, which the commands hear too, once all have ended.

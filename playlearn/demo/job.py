@@ -221,7 +221,7 @@ class _Demo:
 
     def _check(self, name: str, done: Mapping[str, Done]) -> None:
         """Raises PlaylearnError where a command failed; those that were stopped because of it are not to blame."""
-        failed = {key: one.code for key, one in done.items() if one.code != 0 and key not in OPTIONAL}
+        failed = {key: one.code for key, one in done.items() if one.code and key not in OPTIONAL}
         if failed:
             key = min(failed, key=lambda key: failed[key] in STOPPED)
             why = f"{key} ended with exit code {failed[key]} (it said why above)"
@@ -243,7 +243,7 @@ class _Demo:
         low, high = results["ci95"]
         self.say(
             f"goal images reached: {results['success_rate']:.1%} [{low:.1%}, {high:.1%}] of {results['episodes']}\n"
-            "privileged information used: the simulator drew scenes and told where things are in them, and a scripted "
+            "privileged information used: the simulator drew scenes with their true states, and a scripted "
             "expert corrected the practice; the policy itself sees images and the robot's state\n"
             f"the report: {self.out / 'eval' / 'report.html'}"
         )

@@ -1,4 +1,4 @@
-"""What came of a training run, in numbers for a program and in sentences for a person."""
+"""What came of a training run, in numbers for a program and in words for a person."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -42,7 +42,7 @@ class Outcome:
         """For run.json. What is no number (a loss that left all bounds) is null there."""
         return {name: None if _strange(value) else value for name, value in asdict(self).items()}
 
-    def sentences(self) -> list[str]:
+    def summary(self) -> list[str]:
         """How far it came, and where the held-out loss began and ended."""
         said = []
         if self.steps < self.of_steps:

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from playlearn.data import Batch, Indices
+from playlearn.data import Batch, Indices, laid_end_to_end
 from playlearn.episode import IMAGES, Array
 from playlearn.prefetch import prepared_ahead
 from playlearn.scenes.draw import KEYPOINTS
@@ -85,12 +85,7 @@ class Scenes:
 
     def at(self, places: Indices, orders: dict[int, Indices]) -> Batch:
         """See `PlayDataset.at`."""
-        epochs = places // len(self)
-        for epoch in set(orders) - set(epochs.tolist()):
-            del orders[epoch]
-        for epoch in set(epochs.tolist()) - set(orders):
-            orders[epoch] = self.epoch_indices(epoch)
-        indices = np.concatenate([orders[e][places[epochs == e] % len(self)] for e in np.unique(epochs).tolist()])
+        _, indices = laid_end_to_end(places, len(self), orders, self.epoch_indices)
         return self.batch(indices)
 
     def batches(self, batch_size: int, start_step: int = 0, rank: int = 0, ranks: int = 1) -> Iterator[Batch]:

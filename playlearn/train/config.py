@@ -31,8 +31,8 @@ class TrainConfig:
     scenes: images that the simulator draws of the store's recorded states and of others, with the true state, for an
     image encoder to learn from (see ScenesConfig); null for none.
     more: further play beside it, each store with its share of every batch. init: a run from whose policy training goes
-    on, its weights, normaliser and all; null for a fresh one. A policy of states gives all but the eyes to one that
-    reads its numbers off images (`feed_estimate`), the rest of the policy being the same.
+    on, weights and normalization; null for a fresh one. It may be a state policy: all but the image encoder is loaded,
+    which starts fresh (needs `feed_estimate`).
     learn: shell-style patterns of the parameters that are trained; all others stay as they are.
     batch_size: examples an update and process. steps: updates, unless max_minutes of wall clock are over
     before; the learning rate then falls with whichever is further on, and a resumed run is no longer bit for

@@ -287,7 +287,7 @@ class _Run:
         outcome = Outcome.of(map(json.loads, lines), self.step, self.config.steps, self.seconds)
         record = json.loads((self.out / "run.json").read_text(encoding="utf-8"))
         atomic_write(self.out / "run.json", json.dumps({**record, "outcome": outcome.numbers()}, indent=2).encode())
-        for sentence in outcome.sentences():
+        for sentence in outcome.summary():
             print(f"{self.out}: {sentence}", file=sys.stderr, flush=True)
         complaint = outcome.complaint()
         # One that begins with a trained policy may well end where that was.

@@ -17,7 +17,7 @@ def outcome(*losses: float, first_at: int = 0, of_steps: int = 0) -> Outcome:
 def test_a_run_that_learned_says_where_its_loss_was() -> None:
     one = outcome(1.0, 0.4, 0.5)
     assert one.complaint() is None
-    assert one.sentences() == [
+    assert one.summary() == [
         "held-out loss: 1 before the first update, 0.5 after 200 updates; the least was 0.4 at update 100"
     ]
     assert one.numbers() == {
@@ -54,11 +54,11 @@ def test_one_whose_loss_came_down_and_rose_again_has_learned_something() -> None
     """The likelihood of a policy that is sure of itself ends above where it began, and the policy works."""
     one = outcome(1.0, 0.4, 1.2)
     assert one.complaint() is None
-    assert one.sentences()[-1].startswith("too many updates for so little play")
+    assert one.summary()[-1].startswith("too many updates for so little play")
 
 
 def test_one_that_ran_out_of_minutes_says_how_far_it_came() -> None:
-    said = outcome(1.0, 0.9, of_steps=10_000).sentences()
+    said = outcome(1.0, 0.9, of_steps=10_000).summary()
     assert len(said) == 2
     assert "after 100 of 10000 updates (61 s): the result will be worse" in said[0]
 
@@ -67,8 +67,8 @@ def test_where_the_beginning_is_not_known_there_is_no_judgement() -> None:
     """Runs of before there was an evaluation at step 0, and runs that hold nothing out."""
     old = outcome(0.3, 0.4, first_at=100)
     assert old.complaint() is None
-    assert "0.3 at update 100" in old.sentences()[0]
+    assert "0.3 at update 100" in old.summary()[0]
     none = Outcome.of([{"step": 1, "train/loss": 9.0}], 5, 5, 1.0)
     assert none.complaint() is None
-    assert none.sentences() == []
+    assert none.summary() == []
     assert none.numbers()["heldout_loss_first"] is None

@@ -53,7 +53,7 @@ class EncoderConfig(draccus.ChoiceRegistry):
 
 @dataclass(frozen=True, eq=False)
 class Tokens:
-    """goal (B, N, D), steps (B, T, M, D); estimates of the normalised achieved, (B, T, G) and (B, G), where made.
+    """goal (B, N, D), steps (B, T, M, D); estimates of the normalized achieved, (B, T, G) and (B, G), where made.
 
     heatmaps, goal_heatmaps: camera -> (B, T, K, h, w) and (B, K, h, w) logits, of encoders that make them.
     """
