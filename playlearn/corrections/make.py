@@ -2,7 +2,7 @@
 
 import functools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import playlearn.tasks  # noqa: F401 - registers the worlds
-from playlearn.config import atomic_write, from_dict
+from playlearn.config import from_dict
 from playlearn.corrections.back import HandWorld, way_back
 from playlearn.corrections.config import CorrectionsConfig
 from playlearn.corrections.response import hand_response
@@ -21,7 +21,7 @@ from playlearn.report.progress import Progress
 from playlearn.sim import EnvironmentConfig
 from playlearn.sim.displace import Displaceable
 from playlearn.store import Store, episode_path, open_store
-from playlearn.store.folder import make_folder, sweep
+from playlearn.store.folder import claim
 from playlearn.store.tensors import write_tensors
 
 NOTE = "corrections.json"
@@ -53,7 +53,7 @@ def make_corrections(
         "response": response.tolist(),
         **{name: getattr(config, name) for name in ("displacement", "turn", "per_episode", "steps", "seed")},
     }
-    _claim(folder, told)
+    claim(folder, NOTE, told, "corrections")
     numbers = store.indices()[episodes]
     jobs = [
         Job(
@@ -118,20 +118,6 @@ def correct(source: str, out: str, index: int) -> None:
         key: np.array(values, dtypes.get(key, np.float32)).reshape(-1, *shapes[key]) for key, values in rows.items()
     }
     write_tensors(episode_path(Path(out), index), arrays, {"format": "corrections"})
-
-
-def _claim(folder: Path, told: Mapping[str, Any]) -> None:
-    """Write down what the folder's files are made with; raises UsageError where that was something else."""
-    note = folder / NOTE
-    if not note.exists():
-        make_folder(folder / "episodes")
-        atomic_write(note, json.dumps(told, indent=2).encode())
-        return
-    sweep(folder)
-    before, now = json.loads(note.read_text()), json.loads(json.dumps(told))
-    changed = sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name))
-    if changed:
-        raise UsageError(f"{folder} holds corrections of another {', '.join(changed)}: name another corrections.folder")
 
 
 def _touches(world: HandWorld, state: Array) -> bool:

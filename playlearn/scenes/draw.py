@@ -2,7 +2,7 @@
 
 import functools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import playlearn.tasks  # noqa: F401 - registers the environments
-from playlearn.config import atomic_write, from_dict
+from playlearn.config import from_dict
 from playlearn.episode import IMAGES, Array
 from playlearn.errors import UsageError
 from playlearn.executor import Job, LocalExecutorConfig
@@ -19,7 +19,7 @@ from playlearn.report.progress import Progress
 from playlearn.scenes.config import ScenesConfig
 from playlearn.sim import Environment, EnvironmentConfig
 from playlearn.store import Store, episode_path, open_store
-from playlearn.store.folder import make_folder, sweep
+from playlearn.store.folder import claim
 from playlearn.store.tensors import write_tensors
 
 NOTE = "scenes.json"
@@ -61,7 +61,7 @@ def draw_scenes(
         "sizes": scene_sizes(store, cameras),
         **{name: getattr(config, name) for name in ("per_episode", "rearranged", "seed")},
     }
-    _claim(folder, note)
+    claim(folder, NOTE, note, "scenes")
     jobs = [
         Job(
             key=int(number),
@@ -122,20 +122,6 @@ def draw(source: str, out: str, index: int, rearranged: float) -> None:
     write_tensors(
         episode_path(Path(out), index), {key: np.stack(values) for key, values in rows.items()}, {"format": "scenes"}
     )
-
-
-def _claim(folder: Path, note: Mapping[str, Any]) -> None:
-    """Write down what the folder's files are drawn with; raises UsageError where that was something else."""
-    path = folder / NOTE
-    if not path.exists():
-        make_folder(folder / "episodes")
-        atomic_write(path, json.dumps(note, indent=2).encode())
-        return
-    sweep(folder)
-    before, now = json.loads(path.read_text()), json.loads(json.dumps(note))
-    changed = sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name))
-    if changed:
-        raise UsageError(f"{folder} holds scenes of another {', '.join(changed)}: name another scenes.folder")
 
 
 @functools.cache

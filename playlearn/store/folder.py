@@ -1,13 +1,15 @@
 """The folder of a native store: what lies in it under which name, who may write, what a kill leaves behind."""
 
-from collections.abc import Collection, Iterator
+import json
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import filelock
 
-from playlearn.config import sync_folder
-from playlearn.errors import StoreError
+from playlearn.config import atomic_write, sync_folder
+from playlearn.errors import StoreError, UsageError
 from playlearn.store.tensors import TEMPORARY
 
 SUFFIX = ".safetensors"
@@ -51,6 +53,24 @@ def make_folder(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for path in made:
         sync_folder(path.parent)
+
+
+def claim(folder: Path, name: str, note: Mapping[str, Any], what: str) -> None:
+    """Write down in the file `name` what the folder's files of `what` are made with, and make room for them.
+
+    Raises:
+        UsageError: those that are there were made with something else.
+    """
+    path = folder / name
+    if not path.exists():
+        make_folder(folder / "episodes")
+        atomic_write(path, json.dumps(note, indent=2).encode())
+        return
+    sweep(folder)
+    before, now = json.loads(path.read_text()), json.loads(json.dumps(note))
+    changed = sorted(key for key in before.keys() | now.keys() if before.get(key) != now.get(key))
+    if changed:
+        raise UsageError(f"{folder} holds {what} of another {', '.join(changed)}: name another {what}.folder")
 
 
 def sweep(folder: Path) -> None:
