@@ -23,6 +23,7 @@ from playlearn.relabel import (
     leads_to_failure,
     matching,
 )
+from playlearn.split import held_out
 from playlearn.store import Store
 
 Indices = NDArray[np.int64]
@@ -353,28 +354,6 @@ def statistics(dataset: PlayDataset) -> dict[str, Statistics]:
     if dataset.config.labels == "change":
         made["action"] = dataclasses.replace(made["achieved"], mean=np.zeros_like(made["achieved"].mean))
     return made
-
-
-def held_out(store: Store, share: float) -> NDArray[np.bool_]:
-    """(N,) which episodes of a store are held out: those that were recorded as such, else by their numbers."""
-    by_number = heldout_episodes(store.indices(), share)
-    if share <= 0:
-        return by_number
-    said = np.array([store.meta(i).split for i in range(len(store))], np.str_)
-    return np.asarray(np.where(said == "", by_number, said == "heldout"), np.bool_)
-
-
-def heldout_episodes(indices: Indices, share: float) -> NDArray[np.bool_]:
-    """(N,) which episodes are held out, by the numbers they were recorded under.
-
-    Of every 1 / share consecutive numbers one is held out, in the first such block number 0, so that
-    more play never moves an episode from one side to the other, whatever is trained or evaluated.
-    """
-    if share <= 0:
-        return np.zeros(len(indices), np.bool_)
-    block = max(1, round(1 / share))
-    drawn = (counter_uniforms(0, 0, indices // block, 1)[:, 0] * block).astype(np.int64)
-    return np.asarray(indices % block == np.where(indices < block, 0, drawn))
 
 
 def _statistics(rows: Array) -> Statistics:

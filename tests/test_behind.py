@@ -7,11 +7,11 @@ import torch
 
 from playlearn.config import from_dict, save_config
 from playlearn.dagger import DaggerConfig, dagger
-from playlearn.data import heldout_episodes
 from playlearn.errors import CheckpointError, UsageError
 from playlearn.evaluate import Trained, evaluate, join_runs
 from playlearn.policies import Policy
 from playlearn.scenes import ScenesConfig, draw_scenes
+from playlearn.split import heldout_episodes
 from playlearn.store import NativeStore
 from playlearn.train import TrainConfig, train
 from tests.fakes import point_expert

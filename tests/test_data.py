@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from playlearn.data import Batch, DataConfig, PlayDataset, heldout_episodes, statistics
+from playlearn.data import Batch, DataConfig, PlayDataset, statistics
 from playlearn.errors import StoreError, UsageError
 from playlearn.relabel import (
     FinalConfig,
@@ -20,6 +20,7 @@ from playlearn.relabel import (
     UniformConfig,
     counter_uniforms,
 )
+from playlearn.split import heldout_episodes
 from playlearn.store import NativeStore, StoreSpec
 from tests.synthetic import make_episode, make_store, red_then_lamp
 

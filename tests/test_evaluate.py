@@ -13,7 +13,6 @@ import torch
 import yaml
 
 from playlearn.config import save_config, to_dict
-from playlearn.data import heldout_episodes
 from playlearn.episode import Decision, Goal, Observation
 from playlearn.errors import CheckpointError, PlaylearnError, UsageError
 from playlearn.evaluate import Expert, HeldoutConfig, Random, Setup, SuiteConfig, TasksConfig, Trained, evaluate
@@ -25,6 +24,7 @@ from playlearn.policies import PolicyActor, PolicyConfig, PolicySpec
 from playlearn.policies.encoders import CNNConfig
 from playlearn.rollout import Actor, rollout
 from playlearn.sim.environment import Environment
+from playlearn.split import heldout_episodes
 from playlearn.store import NativeStore, StoreSpec
 from tests.fakes import PointConfig, PointExpert, PointPlayer, PointWorld, point_expert
 

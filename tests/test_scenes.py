@@ -8,12 +8,12 @@ import pytest
 import torch
 
 from playlearn.config import from_dict
-from playlearn.data import heldout_episodes
 from playlearn.errors import UsageError
 from playlearn.mixed import mix
 from playlearn.policies import Policy
 from playlearn.scenes import Scenes, ScenesConfig, draw_scenes
 from playlearn.scenes.draw import draw
+from playlearn.split import heldout_episodes
 from playlearn.store import NativeStore, open_store
 from playlearn.tasks import PlayTableConfig, StackConfig
 from playlearn.tasks.playtable.layout import BLOCK_NAMES, block

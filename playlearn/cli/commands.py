@@ -205,8 +205,9 @@ def _export_lerobot(arguments: argparse.Namespace) -> int:
 
 
 def _export_robomimic(arguments: argparse.Namespace) -> int:
-    from playlearn.data import DataConfig, held_out
+    from playlearn.data import DataConfig
     from playlearn.report.progress import Progress
+    from playlearn.split import held_out
     from playlearn.store import open_store
     from playlearn.store.robomimic_export import export_robomimic
 

@@ -11,13 +11,14 @@ import numpy as np
 import yaml
 
 from playlearn.config import from_dict, to_dict
-from playlearn.data import DataConfig, held_out
+from playlearn.data import DataConfig
 from playlearn.episode import Array
 from playlearn.errors import PlaylearnError, StoreError, UsageError
 from playlearn.evaluate.suite import Judge, Setup, SuiteKind, derived_seed, goal_from
 from playlearn.relabel import SettlingConfig, Table
 from playlearn.rollout import Actor
 from playlearn.sim.environment import Environment
+from playlearn.split import held_out
 from playlearn.store import Store, StoreConfig, described, open_store
 
 RUN_CONFIG = "config.yaml"

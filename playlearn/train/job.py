@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from playlearn.config import atomic_write, git_revision, save_config, to_dict, versions
 from playlearn.corrections import Corrections, make_corrections
-from playlearn.data import Batch, PlayDataset, held_out, statistics
+from playlearn.data import Batch, PlayDataset, statistics
 from playlearn.errors import NotLearnedError
 from playlearn.executor import interruption_deferred
 from playlearn.mixed import Mixed, mix
@@ -27,6 +27,7 @@ from playlearn.policies.ema import averaged
 from playlearn.report.outcome import Outcome
 from playlearn.report.progress import Pace, Progress
 from playlearn.scenes import Scenes, draw_scenes, scene_sizes
+from playlearn.split import held_out
 from playlearn.store import Store, open_store
 from playlearn.threads import limit
 from playlearn.train.config import TrainConfig, check_out, flattened, stored_threads

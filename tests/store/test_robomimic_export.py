@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from playlearn.cli import main
-from playlearn.data import DataConfig, PlayDataset, held_out
+from playlearn.data import DataConfig, PlayDataset
 from playlearn.errors import StoreError
 from playlearn.relabel import UniformConfig
+from playlearn.split import held_out
 from playlearn.store import NativeStore, StoreSpec, robomimic_export
 from playlearn.store.importing import import_recordings
 from playlearn.store.robomimic import RobomimicConfig, RobomimicFile
