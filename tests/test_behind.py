@@ -104,6 +104,7 @@ def test_it_practises_so_and_goes_on_learning_from_states(folder: Path, tmp_path
         "practice": str(folder / "suite.yaml"),
         "goal": "image",
         "encoder": str(folder / "encoder"),
+        "perceived_every": 0,
         "rounds": 1,
         "episodes": 4,
         "policy_steps": [5, 20],

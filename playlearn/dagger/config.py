@@ -22,8 +22,9 @@ class DaggerConfig:
     suite: what each round is judged on (null: `practice`, under its own seed); judged: episodes of it; judged_seed:
         instead of the suite's own. goal: how goals are shown. execute, guidance: how the policy acts, in practice and
         judged (null: as its suite says).
-    encoder: a run whose image encoder a state policy looks through, in practice and judged; its training goes on from
-        true states.
+    encoder: a run whose image encoder a state policy looks through, in practice and judged. perceived_every: its
+        training goes on from states as that encoder perceives them, looking at play and practice every so many steps
+        (see PerceivedConfig); 0: from true states.
     policy_steps: range in which it is drawn, for each episode, for how many steps the policy acts before the expert
         brings the episode to its goal, for which it has finish_steps. settle: for how many steps everything must be
         where the goal shows it for an episode to end; one that does not get there is counted and thrown away.
@@ -42,6 +43,7 @@ class DaggerConfig:
     suite: Path | None = None
     goal: Literal["image", "state"] = "state"
     encoder: Path | None = None
+    perceived_every: int = 8
     rounds: int = 5
     episodes: int = 102
     policy_steps: tuple[int, int] = (40, 160)
@@ -72,6 +74,8 @@ class DaggerConfig:
         for name in ("rounds", "episodes", "finish_steps", "settle", "stretch", "updates", "lr", "stray"):
             if getattr(self, name) <= 0:
                 raise UsageError(f"{name} must be above 0, got {getattr(self, name):g}")
+        if self.perceived_every < 0:
+            raise UsageError(f"perceived_every must be 0 or more, got {self.perceived_every}")
         low, high = self.policy_steps
         if not 0 <= low <= high:
             raise UsageError(f"policy_steps is a range [low, high], got [{low}, {high}]")

@@ -5,6 +5,7 @@ OUT/rounds/N/play/                  the round's own store; practice/: how each e
 OUT/rounds/N/train/                 a training run that begins with the last round's policy
 OUT/rounds/N/eval/                  a report like that of `playlearn eval`
 OUT/rounds/N/round.json             its row, written last: a round without one is done again from where it stopped
+OUT/perceived/                      play and practice as an image encoder perceives them, where it acts behind one
 OUT/results.json, plot.png          all rows
 OUT/config.yaml, policy/            the last round's, so that OUT is a run like any other
 """
@@ -32,6 +33,7 @@ from playlearn.errors import PlaylearnError, UsageError
 from playlearn.evaluate import Trained, evaluate, load_suite, scripted
 from playlearn.evaluate.suite import derived_seed, goal_from
 from playlearn.mixed import Source
+from playlearn.perceived import PerceivedConfig
 from playlearn.policies import Policy
 from playlearn.store import open_store
 from playlearn.train import TrainConfig, train
@@ -199,10 +201,17 @@ class _Job:
         corrections = own.corrections
         if corrections is not None:  # made once, for the run
             corrections = replace(corrections, folder=corrections.folder or self.run / "corrections")
+        perceived = own.perceived
+        if config.encoder is not None:
+            looks = config.perceived_every > 0
+            perceived = (
+                PerceivedConfig(config.encoder, config.perceived_every, self.out / "perceived") if looks else None
+            )
         return replace(
             own,
             policy=Policy.load(self.run / "policy").config,
             corrections=corrections,
+            perceived=perceived,
             more=kept + more,
             init=last,
             learn=("*",),

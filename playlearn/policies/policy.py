@@ -23,6 +23,7 @@ from playlearn.policies.trunks import TransformerConfig, TrunkConfig
 WEIGHTS, DESCRIPTION = "policy.safetensors", "policy.json"
 FORMAT = 1
 _NOTHING = torch.empty(0)
+_UNTOLD = "this policy cannot tell where things are: train it from images with encoder.auxiliary.achieved above 0"
 
 
 @dataclass(frozen=True)
@@ -228,10 +229,21 @@ class Policy(nn.Module):
         keep = torch.zeros(len(inputs.state), dtype=torch.bool, device=self.device)
         observed = self.encoder(self._normalised(inputs), keep, None).observed
         if observed is None:
-            raise UsageError(
-                "this policy cannot tell where things are: train it with encoder.auxiliary.achieved above 0"
-            )
+            raise UsageError(_UNTOLD)
         return self.normaliser.restore("achieved", observed[:, -1]).float().cpu()
+
+    @torch.inference_mode()
+    def perceived(self, inputs: Observed) -> tuple[Tensor, Tensor]:
+        """(B, T, G) and (B, G) float32 on the CPU: what is achieved, and in the goal, as its images tell.
+
+        Raises:
+            UsageError: it was not taught to tell either from images (`encoder.auxiliary`).
+        """
+        tokens = self.encoder.perceive(self._normalised(inputs))
+        if tokens.observed is None or tokens.wanted is None or "image" not in self.config.encoder.goals:
+            raise UsageError(_UNTOLD)
+        restore = self.normaliser.restore
+        return restore("achieved", tokens.observed).float().cpu(), restore("achieved", tokens.wanted).float().cpu()
 
     def check(self, spec: Named, cameras: Mapping[str, tuple[int, int]]) -> None:
         """Refuse an environment it was not trained for. cameras: name -> (height, width) there.

@@ -12,6 +12,7 @@ from playlearn.corrections import CorrectionsConfig
 from playlearn.data import DataConfig
 from playlearn.errors import UsageError
 from playlearn.mixed import Source
+from playlearn.perceived import PerceivedConfig
 from playlearn.policies import PolicyConfig
 from playlearn.scenes import ScenesConfig
 from playlearn.store import StoreConfig
@@ -30,6 +31,8 @@ class TrainConfig:
     among the recorded ones (see CorrectionsConfig); null for none.
     scenes: images that the simulator draws of the store's recorded states and of others, with the true state, for an
     image encoder to learn from (see ScenesConfig); null for none.
+    perceived: play as an image encoder perceives it, for a state policy that is to act behind that encoder (see
+    PerceivedConfig); null for true states.
     more: further play beside it, each store with its share of every batch. init: a run from whose policy training goes
     on, weights and normalization; null for a fresh one. It may be a state policy: all but the image encoder is loaded,
     which starts fresh (needs `feed_estimate`).
@@ -49,6 +52,7 @@ class TrainConfig:
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     corrections: CorrectionsConfig | None = None
     scenes: ScenesConfig | None = None
+    perceived: PerceivedConfig | None = None
     more: tuple[Source, ...] = ()
     init: Path | None = None
     learn: tuple[str, ...] = ("*",)
@@ -88,6 +92,11 @@ class TrainConfig:
             raise UsageError(f"max_minutes must be above 0 or null, got {self.max_minutes}")
         if self.corrections is not None and self.data.labels == "change":
             raise UsageError("corrections teach actions: leave them out where data.labels is change")
+        if self.perceived is not None:
+            if self.policy.encoder.observation_cameras:
+                raise UsageError("perceived: this policy looks at images itself; only a state policy is told of them")
+            if self.corrections is not None or self.scenes is not None:
+                raise UsageError("perceived goes with neither corrections nor scenes: leave those out")
         if self.scenes is not None:
             if self.policy.history > 1:
                 raise UsageError("scenes are single moments: leave policy.history at 1")

@@ -1,12 +1,13 @@
 """What a run is shown beside its own play, and what is held out."""
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from playlearn.data import Batch, PlayDataset
+from playlearn.data import Batch, PlayDataset, Variation
 from playlearn.errors import UsageError
 from playlearn.scenes import Scenes
 from playlearn.store import Store
@@ -27,11 +28,14 @@ def check_cameras(config: TrainConfig, store: Store) -> None:
         raise UsageError(f"{store.name()} has no images of {', '.join(missing)} (it has: {there}); {way}")
 
 
-def held_out_batches(config: TrainConfig, store: Store) -> list[Batch]:
-    """Of held-out play, always the same; none where nothing is held out."""
+def held_out_batches(
+    config: TrainConfig, store: Store, vary: Callable[[PlayDataset], Variation] | None = None
+) -> list[Batch]:
+    """Of held-out play, always the same; none where nothing is held out. vary: what makes variants of a dataset's."""
     if config.data.heldout_share <= 0 or config.heldout_batches <= 0:
         return []
     dataset: PlayDataset = config.data.build(store, "heldout", config.seed)
+    dataset.vary = None if vary is None else vary(dataset)
     order = dataset.epoch_indices(0)[: config.heldout_batches * config.batch_size]
     return [dataset.batch(0, part) for part in _parts(order, config.batch_size)]
 

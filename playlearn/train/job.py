@@ -1,5 +1,6 @@
 """Learn a policy from a store of play: the root that builds every part and hands it over."""
 
+import functools
 import json
 import math
 import sys
@@ -21,6 +22,7 @@ from playlearn.data import Batch, PlayDataset, statistics
 from playlearn.errors import NotLearnedError
 from playlearn.executor import interruption_deferred
 from playlearn.mixed import Mixed, mix
+from playlearn.perceived import Perceived, make_perceived
 from playlearn.policies import Policy, PolicySpec
 from playlearn.policies.checkpoint import load_checkpoint, save_checkpoint
 from playlearn.policies.ema import averaged
@@ -60,7 +62,8 @@ def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
         run.describe()
     run.correct()
     run.draw()
-    limit(threads)  # whoever made the corrections may have had others
+    run.perceive()
+    limit(threads)  # whoever made any of these may have had others
     with interruption_deferred() as interrupted, Progress("train", 100.0, "%", 100 * run.progress()) as progress:
         run.loop(interrupted, progress)
     if run.accelerator.is_main_process:
@@ -157,6 +160,23 @@ class _Run:
             make_corrections(corrections, self.store, self.data.episodes, self.config.data.cameras, folder)
         self.accelerator.wait_for_everyone()
         self.data.vary = Corrections(folder, self.data, corrections.share)
+
+    def perceive(self) -> None:
+        """Look at all play through the image encoder that is asked for, and show it as that perceives it."""
+        perceived = self.config.perceived
+        if perceived is None:
+            return
+        seeing = perceived.encoder
+        self.policy.behind(Policy.load(seeing / "policy"), seeing)  # says where the two do not fit together
+        folder, parts = perceived.folder or self.out / "perceived", [self.data]
+        if isinstance(self.examples, Mixed):
+            parts += [part for part in self.examples.parts if isinstance(part, PlayDataset) and part is not self.data]
+        for number, dataset in enumerate(parts):
+            if self.accelerator.is_main_process:
+                make_perceived(perceived, dataset.store, folder / str(number))
+            self.accelerator.wait_for_everyone()
+            dataset.vary = Perceived(folder / str(number), dataset)
+        self.heldout = held_out_batches(self.config, self.store, functools.partial(Perceived, folder / "0"))
 
     def loop(self, interrupted: threading.Event, progress: Progress) -> None:
         config, accelerator = self.config, self.accelerator

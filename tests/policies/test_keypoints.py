@@ -8,7 +8,7 @@ import torch
 from playlearn.errors import UsageError
 from playlearn.policies import PolicySpec
 from playlearn.policies.encoders import KeypointsConfig
-from playlearn.policies.encoders.keypoints import cell_centers, heatmap_loss
+from playlearn.policies.encoders.keypoints import Glimpses, cell_centers, heatmap_loss
 from playlearn.policies.inputs import placed_objects
 from tests.policies.parts import S, examples, generator, policy
 
@@ -65,6 +65,41 @@ def test_heatmaps_learn_from_keypoints_alone() -> None:
     torch.testing.assert_close(loss.detach(), sum(parts[name] for name in ("head", "achieved", "keypoints")))
 
 
+def test_a_glimpse_is_the_square_of_pixels_around_its_place() -> None:
+    """At a border it is the last one that lies within the image."""
+    glimpses = Glimpses(KeypointsConfig(heatmaps=3, glimpse=6), 3, (12, 20))
+    images = torch.rand(2, 3, 12, 20, generator=generator())
+    places = torch.tensor([[[0.0, 0.0], [-1.0, 1.0], [0.93, -0.2]], [[-0.5, 0.5], [1.0, -1.0], [0.1, 0.0]]])
+    corners = glimpses.corners(places)
+    # columns and rows: a place of 0 is the edge between the middle two of an even number of pixels
+    assert corners.tolist() == [[[7, 3], [0, 6], [14, 2]], [[2, 6], [14, 0], [8, 3]]]
+    squares = glimpses.cut(images.contiguous(memory_format=torch.channels_last), corners)
+    for image, own, looks in zip(images, corners.tolist(), squares, strict=True):
+        for (column, row), square in zip(own, looks, strict=True):
+            assert torch.equal(square, image[:, row : row + 6, column : column + 6])
+
+
+def test_a_glimpse_tells_where_it_was_taken_and_only_of_its_own_square() -> None:
+    glimpses = Glimpses(KeypointsConfig(heatmaps=2, glimpse=6, glimpse_features=4), 3, (12, 20))
+    image, places = torch.rand(1, 3, 12, 20, generator=generator()), torch.tensor([[[-0.6, 0.0], [0.6, 0.0]]])
+    told = glimpses(image, places)
+    assert told.shape == (1, 2, 4 + 2)
+    torch.testing.assert_close(told[0, :, 4:] / 4, places[0], atol=0.05, rtol=0)
+    changed = image.clone()
+    changed[..., 12:] = 0.0  # nothing of the first square
+    other = glimpses(changed, places)
+    torch.testing.assert_close(other[0, 0], told[0, 0])
+    assert not torch.equal(other[0, 1], told[0, 1])
+
+
+def test_glimpses_are_learned_with_the_estimate() -> None:
+    ours = policy("keypoints", encoder_options={**SEEING, "glimpse": 8})
+    ours.learning(("encoder.front.*",))
+    ours(examples(), generator())[0].backward()
+    for name, parameter in ours.encoder.front.glimpses.named_parameters():
+        assert parameter.grad.abs().sum() > 0, name
+
+
 def test_an_encoder_alone_gets_the_gradient_it_would_get_in_the_whole_policy() -> None:
     """Its loss has no part of the head's, and what the head's loss would have taught is not asked for."""
     batch = examples(count=4)
@@ -110,3 +145,6 @@ def test_what_contradicts_itself_is_refused() -> None:
         KeypointsConfig(heatmaps=0).build(PLACED, 8)
     with pytest.raises(UsageError, match=r"encoder\.shift moves images and not their keypoints"):
         KeypointsConfig(shift=1).build(PLACED, 8)
+    for side in (4, 17):
+        with pytest.raises(UsageError, match=rf"encoder\.glimpse is {side} pixels: give 5 to 16"):
+            KeypointsConfig(glimpse=side).build(PLACED, 8)

@@ -4,6 +4,10 @@ A heatmap an object is taught the pixel at which a camera sees that object's cen
 scenes knows (privileged information); further heatmaps find for themselves what else matters. Under each map the
 features, the place that it points at and how sure it is are pooled, and the pose is read off these. A spatial softmax
 (Finn et al. 2016) has to find the objects by the pose's error alone: it takes ten times the updates.
+
+The heatmaps are coarse, as convolutions over a whole image must be on a CPU. So a second look follows at the place that
+each map points at: a glimpse (Mnih et al. 2014), a small square of the image's own pixels around it, in which how an
+object lies and what hides it can be seen.
 """
 
 from collections.abc import Mapping
@@ -25,6 +29,8 @@ class KeypointsConfig(ImageConfig):
     """channels, kernels, strides: of the convolutions, one of each a layer.
     heatmaps: of a camera, the objects' among them.
     keypoints: weight of the heatmaps' loss, where the examples bring keypoints; 0: the maps find everything themselves.
+    glimpse: side of the square that is looked at again around each heatmap's place, in pixels; 0: there is none.
+    glimpse_features: what each of them is summed up in.
     """
 
     channels: tuple[int, ...] = (32, 32)
@@ -32,6 +38,8 @@ class KeypointsConfig(ImageConfig):
     strides: tuple[int, ...] = (4, 1)
     heatmaps: int = 8
     keypoints: float = 1.0
+    glimpse: int = 16
+    glimpse_features: int = 64
     linear_estimate: bool = True
 
     def backbone(self, channels: int, size: tuple[int, int], *, fetch: bool) -> nn.Module:
@@ -43,6 +51,12 @@ class KeypointsConfig(ImageConfig):
             raise UsageError(f"encoder.heatmaps is {self.heatmaps}: give one each of the {objects} objects, or more")
         if self.keypoints > 0 and self.shift > 0:
             raise UsageError("encoder.shift moves images and not their keypoints: set it, or encoder.keypoints, to 0")
+        smallest = min(min(spec.cameras[camera]) for camera in self.cameras)
+        if self.glimpse and not Glimpses.KERNEL <= self.glimpse <= smallest:
+            raise UsageError(
+                f"encoder.glimpse is {self.glimpse} pixels: give {Glimpses.KERNEL} to {smallest}, the least side of an "
+                "image, or 0 for none"
+            )
         self.check_build()
         return KeypointsEncoder(self, spec, width, fetch=fetch)
 
@@ -66,6 +80,9 @@ class KeypointsEncoder(ImageEncoder):
         return losses
 
 
+SPREAD = 4.0  # places in an image are told as numbers of about the size of the features
+
+
 class KeypointBackbone(nn.Module):
     """(B, C, h, w) in [-1, 1] -> (B, features) and the heatmaps (B, K, h', w') as logits."""
 
@@ -85,7 +102,9 @@ class KeypointBackbone(nn.Module):
         y, x = torch.meshgrid(cell_centers(height), cell_centers(width), indexing="ij")
         self.register_buffer("cells", torch.stack([x.flatten(), y.flatten()], dim=1), persistent=False)  # (h w, 2)
         self.sharpness = nn.Parameter(torch.full((config.heatmaps, 1), self.SHARPNESS))
-        self.project = nn.Linear(config.heatmaps * (channels + 3), config.features)
+        self.glimpses = Glimpses(config, blank.shape[1], size) if config.glimpse else None
+        found = channels + 3 + (self.glimpses.features if self.glimpses else 0)  # under each heatmap
+        self.project = nn.Linear(config.heatmaps * found, config.features)
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
         maps = self.convolutions(images)
@@ -96,8 +115,57 @@ class KeypointBackbone(nn.Module):
         total = logits.logsumexp(dim=-1, keepdim=True)  # how much one place stands out
         weights = (logits - total).exp()
         seen = weights @ maps.flatten(2).transpose(1, 2)  # (B, K, C)
-        pooled = torch.cat([seen, 4 * (weights @ self.get_buffer("cells")), total], dim=-1)
-        return self.project(pooled.flatten(1)), logits.unflatten(-1, maps.shape[2:])
+        places = weights @ self.get_buffer("cells")  # (B, K, 2)
+        found = [seen, SPREAD * places, total]
+        if self.glimpses is not None:
+            found.append(self.glimpses(images, places.detach()))
+        return self.project(torch.cat(found, dim=-1).flatten(1)), logits.unflatten(-1, maps.shape[2:])
+
+
+class Glimpses(nn.Module):
+    """Images (B, C, h, w) and K places in each (B, K, 2), in [-1, 1], -> (B, K, features): a look around each place.
+
+    The square is cut out at whole pixels and lies within the image; where its center is belongs to what is told. The
+    convolution is shared, what is read off it is each place's own.
+    """
+
+    CHANNELS, KERNEL, STRIDE = 32, 5, 2
+
+    def __init__(self, config: KeypointsConfig, channels: int, size: tuple[int, int]) -> None:
+        super().__init__()
+        self.side, self.features = config.glimpse, config.glimpse_features + 2
+        self.convolution = channels_last(nn.Conv2d(channels, self.CHANNELS, self.KERNEL, self.STRIDE))
+        seen = self.CHANNELS * ((self.side - self.KERNEL) // self.STRIDE + 1) ** 2
+        weight = torch.randn(config.heatmaps, seen, config.glimpse_features) * (2 / seen) ** 0.5  # He et al. 2015
+        self.weight = nn.Parameter(weight)
+        self.bias = nn.Parameter(torch.zeros(config.heatmaps, 1, config.glimpse_features))
+        height, width = size
+        self.register_buffer("size", torch.tensor([width, height]), persistent=False)
+
+    def forward(self, images: Tensor, places: Tensor) -> Tensor:
+        corners = self.corners(places)
+        looks = self.convolution(self.cut(images, corners).flatten(0, 1)).relu()
+        looks = looks.flatten(1).unflatten(0, corners.shape[:2]).transpose(0, 1)  # (K, B, seen)
+        read = torch.baddbmm(self.bias, looks, self.weight).relu().transpose(0, 1)  # (B, K, glimpse_features)
+        centers = 2 * (corners + self.side / 2) / self.get_buffer("size") - 1
+        return torch.cat([read, SPREAD * centers], dim=-1)
+
+    def corners(self, places: Tensor) -> Tensor:
+        """(B, K, 2) int64: the first column and row of each square."""
+        size = self.get_buffer("size")
+        first = ((places + 1) / 2 * size - self.side / 2).round().long()
+        return first.clamp(min=torch.zeros_like(size), max=size - self.side)
+
+    def cut(self, images: Tensor, corners: Tensor) -> Tensor:
+        """(B, K, C, side, side), channels last in memory."""
+        batch, channels, height, width = images.shape
+        along = torch.arange(self.side, device=images.device)
+        rows, columns = corners[..., 1, None] + along, corners[..., 0, None] + along  # (B, K, side)
+        first = torch.arange(batch, device=images.device).view(-1, 1, 1, 1) * (height * width)
+        places = first + rows[..., :, None] * width + columns[..., None, :]  # (B, K, side, side)
+        pixels = images.permute(0, 2, 3, 1).reshape(-1, channels)
+        # pixels picked by one flat index, as in `random_shift`
+        return pixels.index_select(0, places.flatten()).view(*places.shape, channels).movedim(-1, 2)
 
 
 def cell_centers(count: int) -> Tensor:

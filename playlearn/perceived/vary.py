@@ -1,0 +1,49 @@
+"""A dataset's examples as an image encoder perceives them."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from playlearn.data import Batch, Indices, PlayDataset, Recorded
+from playlearn.episode import Array
+from playlearn.store import episode_path
+from playlearn.store.tensors import map_tensors, read_header
+
+
+class Perceived:
+    """What `make_perceived` left in a folder, as variants of a dataset's examples (`PlayDataset.vary`)."""
+
+    def __init__(self, folder: Path, dataset: PlayDataset) -> None:
+        """Raises StoreError: a file is missing or damaged."""
+        errors: dict[str, list[Array]] = {"observed": [], "wanted": []}
+        for position in dataset.episodes.tolist():
+            true = dataset.store.array(position, "achieved")  # (T+1, G)
+            path = episode_path(folder, int(dataset.store.indices()[position]))
+            file = map_tensors(path, read_header(path).layout)
+            near = nearest(np.asarray(file["t"]), len(true))
+            for name, made in errors.items():
+                made.append((file[name] - true[file["t"]])[near])
+        self.dataset = dataset
+        self.observed, self.wanted = map(np.concatenate, errors.values())  # (sum T+1, G), rows as in the dataset
+
+    def __call__(self, recorded: Recorded, epoch: int | Indices, indices: Indices) -> Batch:
+        """The batch of these examples, with `achieved` and the goal's as they would be perceived."""
+        batch, dataset = recorded(epoch, indices), self.dataset
+        episodes, t = dataset.where(indices)
+        first = dataset.table.rows[np.searchsorted(dataset.episodes, episodes)]
+        seen = np.maximum(t[:, None] + np.arange(1 - batch.achieved.shape[1], 1), 0)  # (B, T)
+        observed = self.observed[first[:, None] + seen]
+        wanted = self.wanted[first + dataset.goals(epoch, indices)]
+        return dataclasses.replace(
+            batch,
+            achieved=batch.achieved + torch.from_numpy(observed),
+            goal_achieved=batch.goal_achieved + torch.from_numpy(wanted),
+        )
+
+
+def nearest(moments: Indices, length: int) -> Indices:
+    """(length,) which of the ascending moments lies nearest each of 0 ... length-1."""
+    between = (moments[1:] + moments[:-1] + 1) // 2
+    return np.searchsorted(between, np.arange(length), side="right")
