@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numba  # noqa: F401 - as in a worker that steps a world
 import numpy as np
 import pytest
 import scipy.linalg
