@@ -4,6 +4,18 @@ import os
 import signal
 import sys
 
+import pytest
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config: pytest.Config) -> None:
+    """Of several processes (`-n 2`) each begins with its own part of the files, and takes from the other's end.
+
+    So what a module's tests share is made once, not once in every process.
+    """
+    if getattr(config.option, "numprocesses", None) and config.option.dist == "no":
+        config.option.dist = "worksteal"
+
 
 def pytest_configure() -> None:
     """Ctrl-C reaches the processes that tests start, and each finds torch already compiled to bytecode.

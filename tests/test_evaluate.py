@@ -100,6 +100,7 @@ def test_the_expert_can_and_chance_cannot(tmp_path: Path) -> None:
     assert sum(row["success"] for row in rows if row["policy"] == "expert") == 10
 
 
+@pytest.mark.slow
 def test_the_same_for_any_number_of_workers(tmp_path: Path, image_run: Path) -> None:
     """Cohorts are fixed by the suite, so two processes and none write the same rows, bit for bit."""
     suite = write(replace(SUITE, episodes=6, max_steps=20), tmp_path)

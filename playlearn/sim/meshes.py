@@ -62,10 +62,10 @@ def _without_specks(points: Array, faces: Array, size: float) -> Array:
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def _faces_around(faces: Any, size: int) -> Any:
     """start (n + 1,) and around (3 m,): the faces at point i are around[start[i]:start[i + 1]]."""
-    start, around = np.zeros(size + 1, np.int64), np.empty(faces.size, np.int64)
+    count, around = np.zeros(size + 1, np.int64), np.empty(faces.size, np.int64)
     for point in faces.ravel():
-        start[point + 1] += 1
-    start = np.cumsum(start)
+        count[point + 1] += 1
+    start = np.cumsum(count)
     free = start.copy()
     for f in range(len(faces)):
         for point in faces[f]:
@@ -127,7 +127,7 @@ def _planes(normal: Array, through: Array, weight: Array) -> Array:
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _squared_distance(q: Any, point: Any) -> float:
+def _squared_distance(q: Any, point: Any) -> Any:
     """The mean squared distance of a point (3,) to the planes of a quadric (11,)."""
     x, y, z = point
     value = q[0] * x * x + q[3] * y * y + q[5] * z * z + q[9]

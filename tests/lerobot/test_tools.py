@@ -62,6 +62,7 @@ def edit(monkeypatch: pytest.MonkeyPatch, **settings: Any) -> None:
     lerobot_edit_dataset.main()
 
 
+@pytest.mark.slow
 def test_it_is_split_and_merged_and_read_again(
     plain: Path, store: NativeStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

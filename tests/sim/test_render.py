@@ -80,6 +80,7 @@ def test_a_stored_state_is_drawn_as_it_was_live(world: PlayTableWorld) -> None:
         np.testing.assert_array_equal(world.render(camera), image)
 
 
+@pytest.mark.slow
 def test_a_picture_does_not_depend_on_what_was_drawn_before(
     world: PlayTableWorld, states: list[np.ndarray], fine: _Stage
 ) -> None:
