@@ -70,6 +70,7 @@ def test_what_is_imported_already_is_limited_too(threads: int) -> None:
     assert {**there, "numba": threads} == here
 
 
+@pytest.mark.slow
 def test_what_a_command_imports_is_limited() -> None:
     """The command's own process, also under a launcher that sets OMP_NUM_THREADS, as `accelerate launch` does."""
     code = (
