@@ -196,8 +196,7 @@ def test_a_killed_round_is_gone_on_with_and_those_before_it_are_not_repeated(
     assert all(torch.equal(one[name], other[name]) for name in one)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("control", ["play", "noise"])
+@pytest.mark.parametrize("control", [pytest.param("play", marks=pytest.mark.slow), "noise"])
 def test_a_control_adds_as_many_steps_of_play(
     control: str, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
