@@ -67,6 +67,8 @@ install() {
 	"$UV" pip install -q --python .venv/bin/python --no-deps --no-build-isolation -e .
 	# robosuite's source has escapes that Python warns of whenever it compiles them, so once, here and quietly.
 	.venv/bin/python -W ignore -m compileall -q "$(.venv/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/robosuite" || true
+	# Where Python is told to keep no bytecode, as in many containers, each process would compile torch and the rest anew.
+	PYTHONDONTWRITEBYTECODE='' .venv/bin/python -W ignore -c 'import diffusers, playlearn.demo, torchvision, transformers' >/dev/null 2>&1 || true
 	key >.venv/.stamp
 }
 

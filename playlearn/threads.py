@@ -72,8 +72,9 @@ def _openblas() -> Iterator[tuple[Callable[[int], Any], Callable[[], Any]]]:
     """Of each OpenBLAS in this process, how its threads are set and asked for."""
     if not _MAPS.exists():
         return
-    lines = (line.split(maxsplit=5) for line in _MAPS.read_text(encoding="utf-8", errors="replace").splitlines())
-    files = {words[5] for words in lines if len(words) == 6 and "openblas" in Path(words[5]).name}
+    # Thousands of lines, and every job asks: only those of a file of such a name are taken apart.
+    lines = _MAPS.read_text(encoding="utf-8", errors="replace").splitlines()
+    files = {line.split(maxsplit=5)[5] for line in lines if "openblas" in line.rpartition("/")[2]}
     for file in sorted(files):
         found = _functions(file)
         if found is not None:

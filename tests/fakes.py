@@ -113,12 +113,19 @@ class PointWorld:
         size = self._sizes[camera]
         height, width = height or size.height, width or size.width
         self.renders.append(camera)
-        y, x = np.meshgrid(np.linspace(1.2, -1.2, height), np.linspace(-1.2, 1.2, width), indexing="ij")
-        image = np.full((height, width, 3), 235, np.uint8)
-        image[(np.abs(x) < 1) & (np.abs(y) < 1)] = 180
-        image[np.hypot(x - self._sim[4], y - self._sim[5]) < 0.15] = (200, 40, 40)
-        image[np.hypot(x - self._sim[1], y - self._sim[2]) < 0.1] = (20, 20, 20)
-        image[(x > 0.9) & (y > 0.9)] = (250, 220, 60) if self._sim[6] else (80, 80, 80)
+        y, x = np.linspace(1.2, -1.2, height)[:, None], np.linspace(-1.2, 1.2, width)
+
+        def disc(at: Array, radius: float) -> Array:
+            inside: Array = (x - at[0]) ** 2 + (y - at[1]) ** 2 < radius**2
+            return inside
+
+        shown = np.zeros((height, width), np.intp)
+        on_table, lamp = (np.abs(x) < 1) & (np.abs(y) < 1), (x > 0.9) & (y > 0.9)
+        for colour, where in enumerate((on_table, disc(self._sim[4:6], 0.15), disc(self._sim[1:3], 0.1), lamp), 1):
+            np.copyto(shown, colour, where=where)
+        lit = (250, 220, 60) if self._sim[6] else (80, 80, 80)
+        colours = [(235, 235, 235), (180, 180, 180), (200, 40, 40), (20, 20, 20), lit]
+        image: Array = np.take(np.array(colours, np.uint8), shown, axis=0)
         return image
 
     def rearrange(self, rng: np.random.Generator) -> None:

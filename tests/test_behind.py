@@ -98,6 +98,7 @@ def test_eval_looks_through_it(folder: Path, tmp_path: Path) -> None:
     assert rows[0] == rows[1]
 
 
+@pytest.mark.slow
 def test_it_practises_so_and_goes_on_learning_from_states(folder: Path, tmp_path: Path) -> None:
     """What it met behind the encoder is kept without images, and teaches the state policy."""
     fields = {

@@ -58,7 +58,6 @@ def test_images_drawn_afterwards_equal_those_drawn_live(tmp_path: Path) -> None:
     assert NativeStore.open(tmp_path / "other").cameras() == {"front": (16, 16)}
 
 
-@pytest.mark.slow
 def test_a_part_of_the_play_is_drawn_and_more_of_it_later(tmp_path: Path) -> None:
     collect(dataclasses.replace(SMALL, episodes=3), tmp_path / "blind", workers=0)
     sizes = {"front": CameraConfig(16, 16)}

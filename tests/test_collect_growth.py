@@ -94,6 +94,7 @@ def test_collecting_costs_the_same_for_every_episode(
     assert statistics.median(work[-20:]) <= statistics.median(work[5:25]) * 1.01
 
 
+@pytest.mark.slow
 def test_collecting_keeps_nothing_of_an_episode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """200 episodes after the first 50 leave less than 50 kB: not even a number and a seed of each."""
     memory: list[int] = []

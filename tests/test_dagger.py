@@ -113,6 +113,7 @@ def test_an_expert_that_does_not_finish_is_counted_and_leaves_nothing(run: Path,
         go(described(run, policy_steps=[1, 1], finish_steps=3), run, tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_further_play_that_the_run_learned_from_is_kept_in_its_shares(run: Path, tmp_path: Path) -> None:
     go(described(run, rounds=1), run, tmp_path / "first")
     go(described(run, rounds=1, share=0.2), tmp_path / "first", tmp_path / "second")
@@ -195,7 +196,7 @@ def test_a_killed_round_is_gone_on_with_and_those_before_it_are_not_repeated(
     assert all(torch.equal(one[name], other[name]) for name in one)
 
 
-@pytest.mark.parametrize("control", ["play", "noise"])
+@pytest.mark.parametrize("control", [pytest.param("play", marks=pytest.mark.slow), "noise"])
 def test_a_control_adds_as_many_steps_of_play(
     control: str, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

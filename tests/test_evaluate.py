@@ -22,6 +22,7 @@ from playlearn.evaluate.results import curve, summary
 from playlearn.executor import InProcessExecutor, Job, LostError, Result
 from playlearn.policies import PolicyActor, PolicyConfig, PolicySpec
 from playlearn.policies.encoders import CNNConfig
+from playlearn.policies.trunks import MLPConfig
 from playlearn.rollout import Actor, rollout
 from playlearn.sim.environment import Environment
 from playlearn.split import heldout_episodes
@@ -70,7 +71,8 @@ def image_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One that reads goal images."""
     folder = tmp_path_factory.mktemp("runs") / "image"
     encoder = CNNConfig(cameras=("front",), goal_camera="front")
-    PolicyConfig(encoder=encoder, chunk=8).build(spec(), None, seed=0).save(folder / "policy")
+    trunk = MLPConfig(width=64)  # unlike a Transformer it imports nothing that each worker would have to import too
+    PolicyConfig(encoder=encoder, trunk=trunk, chunk=8).build(spec(), None, seed=0).save(folder / "policy")
     return folder
 
 
@@ -98,6 +100,7 @@ def test_the_expert_can_and_chance_cannot(tmp_path: Path) -> None:
     assert sum(row["success"] for row in rows if row["policy"] == "expert") == 10
 
 
+@pytest.mark.slow
 def test_the_same_for_any_number_of_workers(tmp_path: Path, image_run: Path) -> None:
     """Cohorts are fixed by the suite, so two processes and none write the same rows, bit for bit."""
     suite = write(replace(SUITE, episodes=6, max_steps=20), tmp_path)

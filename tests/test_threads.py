@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numba  # noqa: F401 - as in a worker that steps a world
 import numpy as np
 import pytest
 import scipy.linalg
@@ -49,6 +50,7 @@ def said(code: str) -> Any:
     return json.loads(done.stdout.splitlines()[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2])
 def test_what_is_imported_already_is_limited_too(threads: int) -> None:
     """In the main thread and in the one that prepares batches (numba counts by thread). Inter-op is one in any case."""
@@ -68,6 +70,7 @@ def test_what_is_imported_already_is_limited_too(threads: int) -> None:
     assert {**there, "numba": threads} == here
 
 
+@pytest.mark.slow
 def test_what_a_command_imports_is_limited() -> None:
     """The command's own process, also under a launcher that sets OMP_NUM_THREADS, as `accelerate launch` does."""
     code = (
@@ -128,7 +131,7 @@ def test_an_experiment_of_the_lab_has_one_thread(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("three")
-@pytest.mark.parametrize("workers", [0, 1])
+@pytest.mark.parametrize("workers", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_every_worker_has_one_thread(workers: int) -> None:
     """Also for the job after one that took more; none but this process: that is one of the workers then."""
     jobs = [Job(0, report), Job(1, limit, {"threads": 2}), Job(2, report)]
@@ -137,6 +140,7 @@ def test_every_worker_has_one_thread(workers: int) -> None:
     assert results[0] == results[2] == {**ALL_ONE, "software_gl": 0}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("three")
 def test_a_benchmarks_process_has_one_thread() -> None:
     limit()  # as `run` does before any

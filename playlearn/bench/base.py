@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from importlib import import_module
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -74,20 +75,34 @@ class Size:
 
 
 Benchmark = Callable[[Size], Iterator[Figure]]
-BENCHMARKS: dict[str, Benchmark] = {}
-_BY_WORLD: set[str] = set()
 
 
-def benchmark(name: str, *, by_world: bool = False) -> Callable[[Benchmark], Benchmark]:
-    """Register a generator of figures as the benchmark of this name; `by_world`: each of the worlds by itself."""
+@dataclass(frozen=True)
+class Deferred:
+    """A benchmark that is imported by the process that measures it, so that no other pays for what it needs."""
 
-    def register(measure: Benchmark) -> Benchmark:
-        BENCHMARKS[name] = measure
-        if by_world:
-            _BY_WORLD.add(name)
-        return measure
+    module: str
+    function: str
 
-    return register
+    def __call__(self, size: Size) -> Iterator[Figure]:
+        measure: Benchmark = getattr(import_module(self.module), self.function)
+        limit()  # of what that has imported
+        return measure(size)
+
+
+BENCHMARKS: dict[str, Benchmark] = {
+    name: Deferred(f"playlearn.bench.{name}", function)
+    for name, function in {
+        "collect": "collecting",
+        "data": "reading",
+        "grow": "growing",
+        "render": "rendering",
+        "sim": "stepping",
+        "threads": "loaded",
+        "train": "training",
+    }.items()
+}
+_BY_WORLD = ("render", "sim")  # each of the worlds by itself
 
 
 def run(names: Sequence[str], size: Size, say: Callable[[Figure], None]) -> list[Figure]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
-from playlearn.bench.base import Figure, Size, benchmark, measuring, rates, timed
+from playlearn.bench.base import Figure, Size, measuring, rates, timed
 from playlearn.bench.worlds import SEED, SIDE, Pair, actions, pairs
 from playlearn.collect import CollectConfig, play
 from playlearn.collect import collect as collect_store
@@ -17,7 +17,6 @@ from playlearn.tasks import PlayTableConfig
 CAMERAS = ("front", "wrist")
 
 
-@benchmark("collect")
 def collecting(size: Size) -> Iterator[Figure]:
     """PlayTable, with two cameras and with none, in one process; then two processes beside one."""
     for cameras in (CAMERAS, ()):

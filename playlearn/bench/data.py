@@ -17,7 +17,7 @@ from typing import Any
 
 import torch
 
-from playlearn.bench.base import Figure, Size, benchmark, measuring, rates
+from playlearn.bench.base import Figure, Size, measuring, rates
 from playlearn.bench.worlds import SEED, SIDE
 from playlearn.collect import CollectConfig, collect
 from playlearn.data import Batch, DataConfig, PlayDataset
@@ -33,7 +33,6 @@ CAMERAS, GOAL_CAMERA = ("front", "wrist"), "front"
 HORIZON = 5.0  # seconds
 
 
-@benchmark("data")
 def reading(size: Size) -> Iterator[Figure]:
     """One process, no workers; beside LeRobot's images, then its video."""
     measuring("data: play to read")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from playlearn.bench.base import Figure, Size, benchmark, measuring
+from playlearn.bench.base import Figure, Size, measuring
 from playlearn.collect import CollectConfig, collect, play
 from playlearn.store import NativeStore
 from playlearn.tasks import PlayTableConfig
@@ -17,7 +17,6 @@ PART = 50
 STEPS = 10
 
 
-@benchmark("grow")
 def growing(size: Size) -> Iterator[Figure]:
     """Episodes a second and memory of the last PART episodes of many; the peer is the first PART of the same store."""
     measuring(f"{size.episodes} episodes of one store")

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
-from playlearn.bench.base import Figure, Size, benchmark, measuring, rates
+from playlearn.bench.base import Figure, Size, measuring, rates
 from playlearn.bench.worlds import SEED, SIDE, Pair, actions, pairs
 from playlearn.episode import Array
 from playlearn.sim.lean import VISUAL_GROUP
@@ -21,7 +21,6 @@ COLLISION_GROUP = 0
 COMPARED = 8  # states whose images are compared
 
 
-@benchmark("render", by_world=True)
 def rendering(size: Size) -> Iterator[Figure]:
     """PlayTable and Lift, two cameras of SIDE pixels, one process.
 

@@ -6,11 +6,10 @@ from functools import partial
 
 import mujoco
 
-from playlearn.bench.base import Figure, Size, benchmark, measuring, rates, timed
+from playlearn.bench.base import Figure, Size, measuring, rates, timed
 from playlearn.bench.worlds import SEED, Pair, actions, pairs
 
 
-@benchmark("sim", by_world=True)
 def stepping(size: Size) -> Iterator[Figure]:
     """PlayTable and Lift, one process; the limit is `mj_step` alone, from the very states that ours passes through."""
     for pair in pairs(size.worlds, images=False):

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 
-from playlearn.bench.base import Figure, Size, benchmark, measuring, rates
+from playlearn.bench.base import Figure, Size, measuring, rates
 from playlearn.bench.train import an_update, built
 from playlearn.executor import available_cores
 from playlearn.policies import PolicyConfig
@@ -33,7 +33,6 @@ POLICY = PolicyConfig(
 _BUSY = "import os; own = os.getppid(); print(flush=True)\nwhile os.getppid() == own: pass"
 
 
-@benchmark("threads")
 def loaded(size: Size) -> Iterator[Figure]:
     """Our default and torch's own (a thread a core), each beside one thread; the limit is one thread undisturbed."""
     ours, cores = TrainConfig().threads, available_cores()

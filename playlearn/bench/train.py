@@ -18,7 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from playlearn.bench.base import Figure, Size, benchmark, measuring, rates
+from playlearn.bench.base import Figure, Size, measuring, rates
 from playlearn.bench.worlds import SEED, SIDE
 from playlearn.data import Batch
 from playlearn.policies import Policy, PolicyConfig, PolicySpec
@@ -32,7 +32,6 @@ STATE, ACHIEVED, ACTION = 10, 20, 7  # PlayTable's
 CAMERAS, GOAL_CAMERA = ("front", "wrist"), "front"
 
 
-@benchmark("train")
 def training(size: Size) -> Iterator[Figure]:
     """The same vision network in both (ResNet-18, group norm); then our own in ours, its denoiser widened to match."""
     resnet = TorchvisionConfig(cameras=CAMERAS, goal_camera=GOAL_CAMERA, fusion="late")

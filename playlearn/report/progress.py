@@ -4,6 +4,7 @@ import math
 import statistics
 import sys
 import time
+from bisect import bisect_right
 from collections import deque
 from typing import Self
 
@@ -35,8 +36,10 @@ class Pace:
         known = self._warm or self._cold
         if not known:
             return math.nan
-        most = _ODD * statistics.median(known)
-        return statistics.fmean(min(seconds, most) for seconds in known)
+        ordered = sorted(known)
+        most = _ODD * statistics.median(ordered)
+        usual = ordered[: bisect_right(ordered, most)]
+        return (sum(usual) + most * (len(ordered) - len(usual))) / len(ordered)
 
 
 class Progress:

@@ -17,7 +17,6 @@ from playlearn.episode import Array
 _BORDER_WEIGHT = 10.0
 _STEEPEST = 0.25  # cosine between a triangle's normals before and after a merger
 _WORTHWHILE = 0.99  # another round as long as the last one left so much or less
-_INNER, _BORDER, _FIXED = 0, 1, 2
 
 
 def simplify(vertices: Array, faces: Array, tolerance: float) -> tuple[Array, Array]:
@@ -60,10 +59,33 @@ def _without_specks(points: Array, faces: Array, size: float) -> Array:
     return large
 
 
-def _open_edges(faces: Array, size: int) -> Array:
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _faces_around(faces: Any, size: int) -> Any:
+    """start (n + 1,) and around (3 m,): the faces at point i are around[start[i]:start[i + 1]]."""
+    count, around = np.zeros(size + 1, np.int64), np.empty(faces.size, np.int64)
+    for point in faces.ravel():
+        count[point + 1] += 1
+    start = np.cumsum(count)
+    free = start.copy()
+    for f in range(len(faces)):
+        for point in faces[f]:
+            around[free[point]] = f
+            free[point] += 1
+    return start, around
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _open_edges(faces: Any, start: Any, around: Any) -> Any:
     """(m, 3): whether no face runs along edge k of a face, from corner k to the next, in the other direction."""
-    after = np.roll(faces, -1, axis=1)
-    return ~np.isin(after * size + faces, faces * size + after)
+    open_edge = np.ones(faces.shape, np.bool_)
+    for f in range(len(faces)):
+        for k in range(3):
+            begin, end = faces[f, k], faces[f, (k + 1) % 3]
+            for other in around[start[end] : start[end + 1]]:
+                for j in range(3):
+                    if faces[other, j] == end and faces[other, (j + 1) % 3] == begin:
+                        open_edge[f, k] = False
+    return open_edge
 
 
 def _quadrics(points: Array, faces: Array) -> Array:
@@ -74,17 +96,25 @@ def _quadrics(points: Array, faces: Array) -> Array:
     normal /= np.maximum(area, 1e-300)[:, None]
     planes = _planes(normal, corners[:, 0], np.sqrt(area))
     quadrics = np.zeros((len(points), 11))
-    for k in range(3):
-        np.add.at(quadrics, faces[:, k], planes)
-    face, edge = np.nonzero(_open_edges(faces, len(points)))
+    for corner in np.ascontiguousarray(faces.T):
+        _add(quadrics, corner, planes)
+    face, edge = np.nonzero(_open_edges(faces, *_faces_around(faces, len(points))))
     begin, end = faces[face, edge], faces[face, (edge + 1) % 3]
     along = points[end] - points[begin]
     length = np.linalg.norm(along, axis=1)
     wall = np.cross(along / np.maximum(length, 1e-300)[:, None], normal[face])
     walls = _planes(wall, points[begin], _BORDER_WEIGHT * length)
-    np.add.at(quadrics, begin, walls)
-    np.add.at(quadrics, end, walls)
+    _add(quadrics, begin, walls)
+    _add(quadrics, end, walls)
     return quadrics
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _add(rows: Any, at: Any, values: Any) -> None:
+    """rows[at[i]] += values[i], where an index may come twice."""
+    for i in range(len(at)):
+        for k in range(values.shape[1]):
+            rows[at[i], k] += values[i, k]
 
 
 def _planes(normal: Array, through: Array, weight: Array) -> Array:
@@ -96,55 +126,64 @@ def _planes(normal: Array, through: Array, weight: Array) -> Array:
     )
 
 
-def _squared_distance(quadric: Array, point: Array) -> Array:
-    """(m,): the mean squared distance of points (m, 3) to the planes of quadrics (m, 11)."""
-    x, y, z = point.T
-    q = quadric.T
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _squared_distance(q: Any, point: Any) -> Any:
+    """The mean squared distance of a point (3,) to the planes of a quadric (11,)."""
+    x, y, z = point
     value = q[0] * x * x + q[3] * y * y + q[5] * z * z + q[9]
     value = value + 2 * (q[1] * x * y + q[2] * x * z + q[4] * y * z + q[6] * x + q[7] * y + q[8] * z)
-    distance: Array = np.abs(value) / np.maximum(q[10], 1e-300)
-    return distance
+    return abs(value) / max(q[10], 1e-300)
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _mergers(points: Any, faces: Any, open_edge: Any, quadrics: Any, limit: float) -> Any:
+    """source, target and cost (k,) of every merger along an edge that is allowed and costs no more than `limit`."""
+    leaving, coming = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
+    for f in range(len(faces)):
+        for k in range(3):
+            if open_edge[f, k]:
+                leaving[faces[f, k]] += 1
+                coming[faces[f, (k + 1) % 3]] += 1
+    source, target = np.empty(2 * faces.size, np.int64), np.empty(2 * faces.size, np.int64)
+    cost, count = np.empty(2 * faces.size), 0
+    for back in (False, True):
+        for f in range(len(faces)):
+            for k in range(3):
+                i, j = faces[f, k], faces[f, (k + 1) % 3]
+                if back:
+                    i, j = j, i
+                on_border = open_edge[f, k] and leaving[i] == 1 and coming[i] == 1
+                if on_border or (leaving[i] == 0 and coming[i] == 0):
+                    price = _squared_distance(quadrics[i], points[j])
+                    if price <= limit:
+                        source[count], target[count], cost[count] = i, j, price
+                        count += 1
+    return source[:count], target[:count], cost[:count]
 
 
 def _merge(points: Array, faces: Array, quadrics: Array, limit: float) -> Array:
     """One round of mergers that do not touch each other: point -> point (n,)."""
-    size = len(points)
-    open_edge = _open_edges(faces, size)
-    after = np.roll(faces, -1, axis=1)
-    leaving = np.bincount(faces[open_edge], minlength=size)
-    coming = np.bincount(after[open_edge], minlength=size)
-    kind = np.full(size, _FIXED)
-    kind[(leaving == 1) & (coming == 1)] = _BORDER
-    kind[(leaving == 0) & (coming == 0)] = _INNER
-    source = np.concatenate([faces.ravel(), after.ravel()])
-    target = np.concatenate([after.ravel(), faces.ravel()])
-    free = (kind[source] == _INNER) | ((kind[source] == _BORDER) & np.tile(open_edge.ravel(), 2))
-    source, target = source[free], target[free]
-    cost = _squared_distance(quadrics[source], points[target])
-    order = np.argsort(cost, kind="stable")
-    order = order[: np.searchsorted(cost[order], limit, side="right")]
-    remap = np.arange(size)
-    if not len(order):
+    remap = np.arange(len(points))
+    start, around = _faces_around(faces, len(points))
+    open_edge = _open_edges(faces, start, around)
+    source, target, cost = _mergers(points, faces, open_edge, quadrics, limit)
+    if not len(cost):
         return remap
     # The cheapest first, and the others again once these are done: their neighbourhood will have changed.
-    enough = 1.5 * cost[order[len(order) // 3]]
-    around = np.argsort(faces.ravel(), kind="stable") // 3
-    start = np.concatenate([[0], np.cumsum(np.bincount(faces.ravel(), minlength=size))])
-    _merge_in_order(points, faces, start, around, source[order], target[order], cost[order], enough, remap)
-    moved = np.flatnonzero(remap != np.arange(size))
+    third = len(cost) // 3
+    cheap = np.flatnonzero(cost <= 1.5 * np.partition(cost, third)[third])
+    order = cheap[np.argsort(cost[cheap], kind="stable")]
+    _merge_in_order(points, faces, start, around, source[order], target[order], remap)
+    moved = np.flatnonzero(remap != np.arange(len(points)))
     quadrics[remap[moved]] += quadrics[moved]  # no two onto the same point
     return remap
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _merge_in_order(
-    points: Any, faces: Any, start: Any, around: Any, source: Any, target: Any, cost: Any, enough: float, remap: Any
-) -> None:
-    """Fill `remap`. The faces at point i are around[start[i]:start[i + 1]]."""
+def _merge_in_order(points: Any, faces: Any, start: Any, around: Any, source: Any, target: Any, remap: Any) -> None:
+    """Fill `remap`; see `_faces_around`."""
     touched = np.zeros(len(points), np.bool_)
     for n in range(len(source)):
-        if cost[n] > enough:
-            break
         i, j = source[n], target[n]
         if touched[i] or touched[j] or _flips(points, faces, around[start[i] : start[i + 1]], remap, i, j):
             continue

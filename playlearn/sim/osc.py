@@ -18,6 +18,7 @@ from typing import Any
 import mujoco
 import numba
 import numpy as np
+from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
@@ -136,7 +137,7 @@ class ArmControl:
         world["calls"] = world["broken"] = 0
         control, silence = _callbacks()
         with _STEPPING:
-            _MAILBOX[0] = self._known.ctypes.data
+            control(0, self._known.ctypes.data)
             try:
                 # Only around our own call: others may step models of theirs in this process.
                 mujoco.set_mjcb_control(control)
@@ -183,10 +184,30 @@ def _pointer(_context: Any, address: Any) -> Any:
     return types.voidptr(types.int64), make
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _control(mailbox: Any, data: Any) -> None:
-    """Write the arm's torques into `ctrl` of the world whose turn it is, if this is that world's data."""
-    world = numba.carray(_pointer(numba.carray(mailbox, 1, np.int64)[0]), 1, _WORLD)[0]
+@intrinsic  # type: ignore[untyped-decorator]
+def _mailbox(_context: Any) -> Any:
+    """The address of a word that lies with the compiled code: one a process, and 0 at first."""
+
+    def make(_context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
+        word = ir.IntType(64)
+        kept = cgutils.add_global_variable(builder.module, word, "playlearn.mailbox")
+        kept.linkage, kept.initializer = "internal", word(0)
+        return builder.ptrtoint(kept, word)
+
+    return types.int64(), make
+
+
+def _control(model: Any, data: Any) -> None:
+    """Write the arm's torques into `ctrl` of the world whose turn it is, if this is that world's data.
+
+    MuJoCo calls it with its model and data, we with 0 and the world whose turn it is from now on. So the code knows no
+    address of this process, and is compiled once for all.
+    """
+    mailbox = numba.carray(_pointer(_mailbox()), 1, np.int64)
+    if model == 0:
+        mailbox[0] = data
+        return
+    world = numba.carray(_pointer(mailbox[0]), 1, _WORLD)[0]
     if world.data != data:
         return  # another thread's simulation, which only happens to run meanwhile
     world.calls += 1
@@ -271,22 +292,16 @@ def _floats(address: int, shape: Any) -> Any:
     return numba.carray(_pointer(address), shape, np.float64)
 
 
-# One simulation is stepped at a time; the callback finds it through the mailbox.
-_STEPPING = threading.Lock()
-_MAILBOX = np.zeros(1, np.int64)
-_MAILBOX_ADDRESS = int(_MAILBOX.ctypes.data)
+def _silence(_message: Any) -> None:
+    pass
+
+
+_STEPPING = threading.Lock()  # one simulation is stepped at a time; the callback finds it through the mailbox
 
 
 @functools.cache
 def _callbacks() -> tuple[Any, Any]:
     """What MuJoCo calls for controls, and for warnings: they are counted, and need no MUJOCO_LOG.TXT in this folder."""
-
-    @numba.cfunc(types.void(types.int64, types.int64))  # type: ignore[untyped-decorator]
-    def control(_model: Any, data: Any) -> None:
-        _control(_pointer(_MAILBOX_ADDRESS), data)
-
-    @numba.cfunc(types.void(types.int64))  # type: ignore[untyped-decorator]
-    def silence(_message: Any) -> None:
-        pass
-
+    control = numba.cfunc(types.void(types.int64, types.int64), cache=True)(_control)
+    silence = numba.cfunc(types.void(types.int64), cache=True)(_silence)
     return control.ctypes, silence.ctypes

@@ -68,6 +68,7 @@ def test_what_cannot_be_relabelled_is_said(store: NativeStore) -> None:
         Windows(store, RelabelConfig(cameras=("top",))).features()
 
 
+@pytest.mark.slow
 def test_lerobot_takes_its_goal_for_one_more_camera(
     store: NativeStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

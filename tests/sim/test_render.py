@@ -80,6 +80,7 @@ def test_a_stored_state_is_drawn_as_it_was_live(world: PlayTableWorld) -> None:
         np.testing.assert_array_equal(world.render(camera), image)
 
 
+@pytest.mark.slow
 def test_a_picture_does_not_depend_on_what_was_drawn_before(
     world: PlayTableWorld, states: list[np.ndarray], fine: _Stage
 ) -> None:
@@ -147,6 +148,7 @@ def test_something_is_left_out(world: PlayTableWorld, states: list[np.ndarray]) 
     assert (True, True, True, True) in kept
 
 
+@pytest.mark.slow
 def test_at_its_size_a_picture_is_the_full_one(world: PlayTableWorld, states: list[np.ndarray], fine: _Stage) -> None:
     """Beside every triangle drawn, at this size and four times as large: leaving triangles out costs no likeness.
 

@@ -43,7 +43,7 @@ def theirs(kind: str, **options: Any) -> Any:
     return SceneEnv("scene", **options) if kind == "scene" else CubeEnv(kind, **options)
 
 
-@pytest.mark.parametrize("kind", ["double", "scene"])
+@pytest.mark.parametrize("kind", [pytest.param("double", marks=pytest.mark.slow), "scene"])
 def test_a_step_is_ogbenchs_own_bit_for_bit(kind: str, scene: Any, two: Any) -> None:
     """Clones, restored states and renderings in between change nothing."""
     world, other = {"double": two, "scene": scene}[kind], theirs(kind)
