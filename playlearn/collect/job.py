@@ -94,7 +94,7 @@ def collect_one(config: CollectConfig, out: Path, index: int) -> None:
     """Play episode `index` alone and in this process; what it raises comes through, with its traceback.
 
     A fresh `out` becomes a store that holds it alone. A store that lacks it gets it; one that has it is
-    left alone, and the two are compared.
+    left alone, and the two are compared, bit for bit: on the machine that played it they are the same.
 
     Raises:
         PlaylearnError: played again it is not the episode that the store holds.

@@ -40,7 +40,7 @@ def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
     """Train and leave in `out`: config.yaml, run.json, metrics.jsonl, checkpoint/, policy/ (for Policy.load).
 
     The batch and all noise of an update depend on (seed, update) alone, so a resumed run ends in exactly
-    the tensors of an unbroken one, on one device and without max_minutes; it computes with the same threads.
+    the tensors of an unbroken one, on the same machine and device and without max_minutes; its threads are as many.
     How it ended is said on stderr and kept in run.json, as `outcome`.
 
     Raises:
