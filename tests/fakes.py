@@ -121,11 +121,11 @@ class PointWorld:
 
         shown = np.zeros((height, width), np.intp)
         on_table, lamp = (np.abs(x) < 1) & (np.abs(y) < 1), (x > 0.9) & (y > 0.9)
-        for colour, where in enumerate((on_table, disc(self._sim[4:6], 0.15), disc(self._sim[1:3], 0.1), lamp), 1):
-            np.copyto(shown, colour, where=where)
+        for color, where in enumerate((on_table, disc(self._sim[4:6], 0.15), disc(self._sim[1:3], 0.1), lamp), 1):
+            np.copyto(shown, color, where=where)
         lit = (250, 220, 60) if self._sim[6] else (80, 80, 80)
-        colours = [(235, 235, 235), (180, 180, 180), (200, 40, 40), (20, 20, 20), lit]
-        image: Array = np.take(np.array(colours, np.uint8), shown, axis=0)
+        colors = [(235, 235, 235), (180, 180, 180), (200, 40, 40), (20, 20, 20), lit]
+        image: Array = np.take(np.array(colors, np.uint8), shown, axis=0)
         return image
 
     def rearrange(self, rng: np.random.Generator) -> None:
