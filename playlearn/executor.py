@@ -17,6 +17,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from typing import Any, Protocol, Self
@@ -24,7 +25,7 @@ from typing import Any, Protocol, Self
 import draccus
 
 from playlearn.errors import PlaylearnError, UsageError
-from playlearn.threads import environment, limit
+from playlearn.threads import environment, limit, with_environment
 
 START = 120.0  # seconds beyond a job's own that a worker may take to be there and to import what it needs
 _BEGUN = None  # what a worker says before it does a job
@@ -251,7 +252,7 @@ class _Worker:
         context = multiprocessing.get_context("spawn")
         self.pipe, theirs = context.Pipe()
         self.process: SpawnProcess = context.Process(target=_serve, args=(theirs,), daemon=True)
-        with with_environment(environment()):
+        with with_environment(environment()), _ctrl_c_held_back():
             self.process.start()
         theirs.close()
         self.task: _Task | None = None
@@ -313,6 +314,7 @@ def _dismiss(crew: list[_Worker]) -> None:
 def _serve(pipe: Connection) -> None:
     """A worker's life: do jobs until told to stop or until the parent is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     faulthandler.enable()  # a crash in compiled code says where it was
     threading.Thread(target=_die_with_parent, daemon=True).start()
     while True:
@@ -360,18 +362,14 @@ def _portable(error: Exception) -> Exception:
 
 
 @contextmanager
-def with_environment(variables: Mapping[str, str]) -> Iterator[None]:
-    """`os.environ` with these variables while a child is started, which inherits them."""
-    before = {name: os.environ.get(name) for name in variables}
-    os.environ.update(variables)
+def _ctrl_c_held_back() -> Iterator[None]:
+    """A process started here begins with SIGINT blocked: until it ignores it, nothing can strike it."""
+    resource_tracker.ensure_running()  # starting a process starts that first, which would unblock SIGINT
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

@@ -9,8 +9,8 @@ import ctypes
 import functools
 import os
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,21 @@ def environment(threads: int = 1) -> dict[str, str]:
     """What a process must find in its environment when it starts."""
     # LP_NUM_THREADS is that of llvmpipe, Mesa's software GL: 0 draws in the calling thread, without handing over.
     return {**dict.fromkeys(_NUMERICS, str(threads)), "LP_NUM_THREADS": "0" if threads == 1 else str(threads)}
+
+
+@contextmanager
+def with_environment(variables: Mapping[str, str]) -> Iterator[None]:
+    """`os.environ` with these variables while a child is started, which inherits them."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 def limit(threads: int = 1) -> None:

@@ -28,6 +28,10 @@ def process_and_threads() -> tuple[int, dict[str, str | None]]:
     return os.getpid(), {name: os.environ.get(name) for name in environment()}
 
 
+def blocked_signals() -> set[int]:
+    return set(map(int, signal.pthread_sigmask(signal.SIG_BLOCK, ())))
+
+
 def die_until(marks: str, times: int) -> int:
     """Kill this process the first `times` times; then return how often it was tried."""
     tries = len(list(Path(marks).iterdir()))
@@ -238,6 +242,24 @@ def test_ctrl_c_stops_parent_and_children(tmp_path: Path) -> None:
     for child in children:
         with pytest.raises(ProcessLookupError):
             os.kill(child, 0)
+
+
+def test_ctrl_c_cannot_strike_a_worker_that_is_still_starting(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """SIGINT in a worker's first moment, before any code of ours runs there: it works on and says nothing."""
+
+    class Struck(executor._Worker):
+        def __init__(self) -> None:
+            super().__init__()
+            assert self.process.pid is not None
+            os.kill(self.process.pid, signal.SIGINT)
+
+    monkeypatch.setattr(executor, "_Worker", Struck)
+    (result,) = local(1).build().run([Job(0, blocked_signals)])
+    assert (result.value, result.tries) == (set(), 1)
+    assert capfd.readouterr().err == ""
+    assert blocked_signals() == set()
 
 
 def test_mistakes_are_found_early() -> None:

@@ -14,8 +14,7 @@ from pathlib import Path
 
 from playlearn.config.schema import nearest
 from playlearn.errors import PlaylearnError, UsageError
-from playlearn.executor import with_environment
-from playlearn.threads import environment, limit
+from playlearn.threads import environment, limit, with_environment
 
 
 @dataclass(frozen=True)
