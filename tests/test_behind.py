@@ -63,6 +63,7 @@ def config(path: Path, encoder: dict[str, object], **more: object) -> TrainConfi
     return from_dict(TrainConfig, fields | more)
 
 
+@pytest.mark.slow
 def test_it_is_the_state_policy_with_the_encoder_of_the_other(folder: Path, tmp_path: Path) -> None:
     state, encoder = (Policy.load(folder / name / "policy").state_dict() for name in ("state", "encoder"))
     join_runs(folder / "state", folder / "encoder", tmp_path / "joined")
@@ -77,6 +78,7 @@ def test_it_is_the_state_policy_with_the_encoder_of_the_other(folder: Path, tmp_
     assert (tmp_path / "joined" / "config.yaml").is_file()
 
 
+@pytest.mark.slow
 def test_eval_looks_through_it(folder: Path, tmp_path: Path) -> None:
     """The same episodes come out the same as those of the two joined into one run."""
     join_runs(folder / "state", folder / "encoder", tmp_path / "joined")
@@ -128,6 +130,7 @@ def test_it_practises_so_and_goes_on_learning_from_states(folder: Path, tmp_path
     join_runs(tmp_path / "out", folder / "encoder", tmp_path / "joined")
 
 
+@pytest.mark.slow
 def test_what_does_not_fit_together_is_refused(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match="no run at"):
         Trained(folder / "state", "image", encoder=tmp_path / "none").check()

@@ -177,6 +177,7 @@ def test_free_arguments_are_left_for_the_config() -> None:
     assert (arguments.config, arguments.out) == (Path("c"), Path("o"))
 
 
+@pytest.mark.slow
 def test_doctor_speaks_json(capsys: pytest.CaptureFixture[str]) -> None:
     code = cli.main(["doctor", "--json"])
     findings = json.loads(capsys.readouterr().out)

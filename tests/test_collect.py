@@ -29,6 +29,7 @@ def same(a: NativeStore, b: NativeStore) -> None:
             np.testing.assert_array_equal(value, other.arrays()[name], err_msg=name)
 
 
+@pytest.mark.slow
 def test_play_replays_bit_for_bit() -> None:
     """From any recorded state the recorded action leads to the next one: what was executed is what is on record."""
     config = dataclasses.replace(SMALL, steps=60)

@@ -69,6 +69,7 @@ def test_an_append_costs_the_same_however_many_are_there(tmp_path: Path, counter
     assert not {"os.listdir", "os.scandir"} & {event for events in asked for event in events}
 
 
+@pytest.mark.slow
 def test_an_open_store_grows_by_what_it_must_know_of_an_episode(tmp_path: Path) -> None:
     """Where each array lies: under 4 kB, of an episode of 20 kB or 20 MB; nothing of what is in it."""
     episode = make_episode(np.random.default_rng(0), 5)
@@ -82,6 +83,7 @@ def test_an_open_store_grows_by_what_it_must_know_of_an_episode(tmp_path: Path) 
         assert (held() - before) / 50 < 4000
 
 
+@pytest.mark.slow
 def test_collecting_costs_the_same_for_every_episode(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, counter: Counter
 ) -> None:

@@ -51,6 +51,7 @@ def described(folder: Path, **changes: object) -> CompareConfig:
     return load_config(CompareConfig, path)
 
 
+@pytest.mark.slow
 def test_every_variant_is_trained_and_judged_once(tmp_path: Path) -> None:
     out = tmp_path / "out"
     config = described(tmp_path)

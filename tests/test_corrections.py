@@ -96,6 +96,7 @@ def test_only_the_hand_is_displaced_and_as_far_as_was_said(
     assert seen >= CONFIG.per_episode  # the hand of the sample is free often enough
 
 
+@pytest.mark.slow
 def test_the_corrected_labels_lead_back_and_the_recorded_ones_do_not(
     store: NativeStore, folder: Path, world: RobosuiteWorld
 ) -> None:
@@ -127,6 +128,7 @@ def test_the_corrected_labels_lead_back_and_the_recorded_ones_do_not(
         assert np.abs(made["action"]).max() <= 1
 
 
+@pytest.mark.slow
 def test_an_interrupted_making_goes_on_and_gives_the_same(store: NativeStore, folder: Path, tmp_path: Path) -> None:
     half = tmp_path / "half"
     everything = np.arange(len(store))
@@ -176,6 +178,7 @@ def test_a_share_of_the_examples_is_corrected_and_always_the_same(store: NativeS
     assert not torch.equal(varied.batch(5, indices).state, one.state)
 
 
+@pytest.mark.slow
 def test_training_makes_corrections_once_and_learns_from_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fields = {
         "store": str(SAMPLE),

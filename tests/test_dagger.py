@@ -122,6 +122,7 @@ def test_further_play_that_the_run_learned_from_is_kept_in_its_shares(run: Path,
     assert (gathered.store, gathered.share) == (tmp_path / "second/rounds/1/play", pytest.approx(0.2))
 
 
+@pytest.mark.slow
 def test_rounds(run: Path, tmp_path: Path) -> None:
     """Every round's row adds up, and OUT is a run like any other."""
     out = tmp_path / "out"

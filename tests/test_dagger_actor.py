@@ -147,6 +147,7 @@ def test_a_gate_hands_over_to_the_expert_and_back() -> None:
         assert len(episode) > done + 4
 
 
+@pytest.mark.slow
 def test_what_is_never_unsure_has_no_spread() -> None:
     """Sampled again, a regressed chunk is the same and a denoised one another, in every row by itself."""
     policies = [

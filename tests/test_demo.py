@@ -41,6 +41,7 @@ def test_commands_run_side_by_side_and_are_heard(tmp_path: Path) -> None:
     assert all(one.core_seconds > 0 for one in done.values())
 
 
+@pytest.mark.slow
 def test_where_one_fails_the_others_are_stopped() -> None:
     done = run_together(
         {"bad": ["raise SystemExit(3)"], "long": ["import time; time.sleep(10_000)"]},
@@ -52,6 +53,7 @@ def test_where_one_fails_the_others_are_stopped() -> None:
     assert done["long"].code == -15
 
 
+@pytest.mark.slow
 def test_what_is_optional_may_fail_alone() -> None:
     commands = {"film": ["raise SystemExit(3)"], "play": ["import time; time.sleep(1)"]}
     done = run_together(commands, lambda _: None, lambda: None, PYTHON, optional=("film",))

@@ -69,6 +69,7 @@ def test_every_failure_has_one_cause_and_the_expert_is_asked_too(tmp_path: Path,
     assert "expert 100.0%" in text
 
 
+@pytest.mark.slow
 def test_the_error_of_the_skills_is_the_error_of_the_whole(run: Path) -> None:
     """Weighted by how many examples each has, and of the first action alone; the worst comes first."""
     errors = action_errors(run)

@@ -38,6 +38,7 @@ def test_packages_are_held_to_the_lock(tmp_path: Path) -> None:
     assert finding.found.startswith("1 of 3 as locked; nosuch missing, not 1; pyyaml ")
 
 
+@pytest.mark.slow
 def test_a_back_end_that_cannot_draw_is_told_from_one_that_can(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "disable")  # mujoco's own word for "no rendering at all"
     images, *backends = doctor.gl()

@@ -254,6 +254,7 @@ def test_heldout_play_gives_starts_and_goals(tmp_path: Path, run: Path) -> None:
         assert set(setup.task.split(" + ")) <= {"puck", "lamp"}
 
 
+@pytest.mark.slow
 def test_heldout_play_of_the_run_itself(tmp_path: Path, run: Path) -> None:
     """Store and share are read from the run's own config where the suite leaves them open."""
     play(tmp_path / "play")

@@ -73,6 +73,7 @@ def local(workers: int, **options: float) -> LocalExecutorConfig:
     return LocalExecutorConfig(workers=workers, **options)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_results_are_the_same_for_any_number_of_workers() -> None:
     """A job is a pure function of its seed, so 0, 1 and 3 workers give the same values."""
     jobs = [Job(key=seed, function=draw, kwargs={"seed": seed}, seed=seed) for seed in range(7)]
@@ -134,6 +135,7 @@ def test_how_a_worker_ended_is_told(job: Job, words: str, capfd: pytest.CaptureF
     assert ("in crash" in capfd.readouterr().err) == (words == "SIGSEGV")
 
 
+@pytest.mark.slow
 def test_keep_going_yields_the_lost_one_and_finishes_the_others(tmp_path: Path) -> None:
     jobs = [Job("bad", die_until, {"marks": str(tmp_path), "times": 9})]
     jobs += [Job(seed, draw, {"seed": seed}) for seed in range(2)]

@@ -101,6 +101,7 @@ def test_what_cannot_be_mixed_is_refused(stores: list[Path], tmp_path: Path) -> 
         mix(seeing, [Source(stores[0], 0.5)], 0)
 
 
+@pytest.mark.slow
 def test_training_goes_on_from_another_run_with_more_play(stores: list[Path], tmp_path: Path) -> None:
     """At a learning rate of almost nothing the weights stay those of the start; its normaliser stays at any rate."""
     play = str(stores[0])

@@ -92,6 +92,7 @@ def test_only_episodes_that_are_missing_are_looked_at_again(folder: Path, tmp_pa
         make_perceived(dataclasses.replace(config_, every=5), store, tmp_path, workers=0)
 
 
+@pytest.mark.slow
 def test_training_learns_from_it_and_judges_by_it(
     folder: Path,  # noqa: F811
     tmp_path: Path,
@@ -111,6 +112,7 @@ def test_training_learns_from_it_and_judges_by_it(
     assert losses[0] != losses[1], "before the first update the weights are the same, so the examples are not"
 
 
+@pytest.mark.slow
 def test_practice_behind_an_encoder_is_learned_as_that_perceives_it(
     folder: Path,  # noqa: F811
     tmp_path: Path,

@@ -108,6 +108,7 @@ def test_play_and_scenes_mix(store: NativeStore, tmp_path: Path) -> None:
     assert torch.isnan(batch.keypoints["front"]).flatten(1).all(dim=1).sum() in (0, 12, 16)
 
 
+@pytest.mark.slow
 def test_an_encoder_is_trained_from_a_store_without_images(store: NativeStore, tmp_path: Path) -> None:
     """Only the encoder moved; its held-out loss is of held-out episodes' scenes."""
     held = np.flatnonzero(heldout_episodes(store.indices(), 0.5)).tolist()
@@ -163,6 +164,7 @@ def test_scenes_leave_room_for_what_else_is_shown() -> None:
         from_dict(TrainConfig, {"scenes": {}, "policy": {"history": 2}})
 
 
+@pytest.mark.slow
 def test_a_camera_sees_a_block_where_it_is_projected() -> None:
     """The red pixels' mean is the projection of the red block's center, within a pixel: of 96 x 64, or of 64 x 64."""
     world = PlayTableConfig(stacked=0.0, stowed=0.0, shelved=0.0).build()

@@ -264,6 +264,7 @@ def test_threads_are_chosen_once(play: Path, tmp_path: Path, threads: list[int])
         train(config(play, steps=4), tmp_path / "two", resume=True)
 
 
+@pytest.mark.slow
 def test_a_run_is_resumed_with_the_threads_it_was_begun_with(play: Path, tmp_path: Path, threads: list[int]) -> None:
     """One of before `threads` was a setting: run.json alone says what torch had chosen."""
     train(config(play, steps=2), tmp_path / "run")

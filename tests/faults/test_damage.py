@@ -16,6 +16,7 @@ from tests.faults.command import contents
 from tests.synthetic import make_store
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cut", [0, 10, -1])
 @pytest.mark.parametrize("name", ["store.json", "collect.json"])
 def test_a_note_that_was_cut_is_named_and_nothing_is_written(

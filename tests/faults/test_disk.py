@@ -93,6 +93,7 @@ class Broken:
         raise OSError(self._number, os.strerror(self._number))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ["open", "write", "fsync", "rename", "fsync of the folder"])
 @pytest.mark.parametrize(("number", "words"), [(errno.ENOSPC, "the disk is full"), (errno.EIO, "cannot write")])
 def test_the_disk_fails_at_any_step(

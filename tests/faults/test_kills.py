@@ -28,6 +28,7 @@ def scenario(name: str, folder: Path) -> dict[str, Any]:
     return result
 
 
+@pytest.mark.slow
 def test_killed_before_every_line_of_a_commit(tmp_path: Path) -> None:
     """Of some 135 moments only the last few, after the rename, leave an episode; the others leave none of it."""
     result = scenario("every_line_of_a_commit", tmp_path)

@@ -59,6 +59,7 @@ def test_a_mixture_takes_the_fork_and_one_gaussian_drives_into_it(tmp_path: Path
     assert (tmp_path / "plot.png").read_bytes()[:4] == b"\x89PNG"
 
 
+@pytest.mark.slow
 def test_modes_has_a_row_a_cell(tmp_path: Path) -> None:
     tried = ModesConfig(
         heads={"one": GaussianConfig(hidden=16)}, training=QUICK, samples=50, dimensions=(2, 7), modes=(2,)

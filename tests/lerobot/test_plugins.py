@@ -103,6 +103,7 @@ def test_success_is_what_the_suite_calls_so(env: "GoalEnv") -> None:
     assert env.render().shape[0] == 24
 
 
+@pytest.mark.slow
 def test_lerobots_loop_gives_what_ours_gives(run: Path, env: "GoalEnv", tmp_path: Path) -> None:
     import gymnasium as gym
     from lerobot.configs.policies import PreTrainedConfig
@@ -171,6 +172,7 @@ def _feature(size: int) -> Any:
     return PolicyFeature(type=FeatureType.STATE, shape=(size,))
 
 
+@pytest.mark.slow
 def test_it_learns_from_lerobots_batches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
     from lerobot.policies.factory import make_policy

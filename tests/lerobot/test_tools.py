@@ -99,6 +99,7 @@ def test_it_is_told_of(plain: Path, monkeypatch: pytest.MonkeyPatch, capsys: pyt
     assert "Total frame(Actual Count): 400(400)" in said
 
 
+@pytest.mark.slow
 def test_it_is_drawn(plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from lerobot.scripts import lerobot_dataset_viz
 

@@ -29,6 +29,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(datasets.config, "HF_DATASETS_CACHE", str(tmp_path / "cache"))
 
 
+@pytest.mark.slow
 def test_it_teaches_the_very_same_policy(tmp_path: Path) -> None:
     store = make_store(tmp_path / "play", np.random.default_rng(0), 4, 200)
     export_lerobot(store, tmp_path / "exported")
@@ -59,6 +60,7 @@ def test_actions_in_units_of_their_own_are_not_clipped(tmp_path: Path) -> None:
     assert policy.act(data.batch(0, np.arange(8)), torch.Generator().manual_seed(0)).mean() > 10
 
 
+@pytest.mark.slow
 def test_a_camera_that_is_not_there_is_told_with_those_that_are(tmp_path: Path) -> None:
     make_store(tmp_path / "play", np.random.default_rng(0), 2, 60, {"top": (16, 24)})
     export_lerobot(NativeStore.open(tmp_path / "play"), tmp_path / "exported")

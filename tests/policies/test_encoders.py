@@ -264,6 +264,7 @@ def test_weights_are_used_kept_frozen_and_never_asked_for_again(fusion: str, tmp
     assert torch.equal(loaded.act(examples(), generator()), made.eval().act(examples(), generator()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "message"),
     [

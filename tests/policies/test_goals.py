@@ -63,6 +63,7 @@ def test_shown_either_way_it_reads_what_it_is_given(encoder: str, options: dict[
         assert torch.equal(made.act(other, generator(), guidance=0.0), forgot)
 
 
+@pytest.mark.slow
 @looking
 def test_training_shows_a_share_of_images(encoder: str, options: dict[str, Any]) -> None:
     """At a share of 1 a goal's state changes nothing but what images must tell on the side; at 0 its image does not."""

@@ -133,7 +133,7 @@ LIKELY = {
 
 
 @pytest.mark.parametrize("name", LIKELY)
-@pytest.mark.parametrize("dimensions", [1, 2])
+@pytest.mark.parametrize("dimensions", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_likelihood_integrates_to_one_and_is_what_is_sampled(name: str, dimensions: int) -> None:
     """Quadrature over [-10, 10], where spreads are at most 2 and means near 0, and the mean of 20,000 samples."""
     torch.manual_seed(3)

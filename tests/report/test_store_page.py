@@ -71,10 +71,12 @@ def tab(written: Path) -> Iterator[tuple[Any, list[str]]]:
         browser.close()
 
 
+@pytest.mark.slow
 def test_it_loads_in_silence_and_fetches_nothing(tab: tuple[Any, list[str]]) -> None:
     assert tab[1] == []
 
 
+@pytest.mark.slow
 def test_the_tables_say_what_the_numbers_say(tab: tuple[Any, list[str]], written: Path, store: NativeStore) -> None:
     told = json.loads((written / "play.json").read_text())
     assert told == json.loads(json.dumps(figures(store)))
@@ -85,6 +87,7 @@ def test_the_tables_say_what_the_numbers_say(tab: tuple[Any, list[str]], written
     assert tab[0].locator("#skills tbody tr").count() == len(told["skills"]) == 3
 
 
+@pytest.mark.slow
 def test_every_picture_is_there(tab: tuple[Any, list[str]]) -> None:
     """Heat maps of the red thing and the hand, 24 random moments, and up to eight strips of ten pictures each."""
     sizes = tab[0].eval_on_selector_all("img", "all => all.map(i => [i.naturalWidth, i.naturalHeight])")
@@ -96,6 +99,7 @@ def test_every_picture_is_there(tab: tuple[Any, list[str]]) -> None:
     assert strips_ == [[10 * 36 + 9 * 2, 24 + 16 + 5]] * 8
 
 
+@pytest.mark.slow
 def test_it_fits_a_phone(tab: tuple[Any, list[str]]) -> None:
     tab[0].set_viewport_size({"width": 390, "height": 800})
     assert tab[0].evaluate("document.documentElement.scrollWidth") <= 390

@@ -69,6 +69,7 @@ def halved(image: np.ndarray) -> np.ndarray:
     return (sums + 2) // 4
 
 
+@pytest.mark.slow
 def test_a_stored_state_is_drawn_as_it_was_live(world: PlayTableWorld) -> None:
     world.reset(0)
     for _ in range(5):
@@ -164,6 +165,7 @@ def test_at_its_size_a_picture_is_the_full_one(world: PlayTableWorld, states: li
             assert ssim(lean, reference) > max(0.88, ssim(full, reference) - 0.01)
 
 
+@pytest.mark.slow
 def test_meshes_are_as_fine_as_the_image(world: PlayTableWorld, fine: _Stage) -> None:
     def drawn(stage: _Stage) -> int:
         model = stage._model
@@ -176,6 +178,7 @@ def test_meshes_are_as_fine_as_the_image(world: PlayTableWorld, fine: _Stage) ->
     assert small < 0.8 * larger
 
 
+@pytest.mark.slow
 def test_sizes_are_as_asked_and_agree_with_each_other(world: PlayTableWorld) -> None:
     world.reset(0)
     small, large = world.render("front", 60, 90), world.render("front", 240, 360)

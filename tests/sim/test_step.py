@@ -98,6 +98,7 @@ def test_others_simulations_are_left_alone(world: PlayTableWorld) -> None:
     assert mujoco.get_mjcb_control() is None
 
 
+@pytest.mark.slow
 def test_what_blows_up_is_told_and_leaves_no_log(
     world: PlayTableWorld, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -140,6 +140,7 @@ BROKEN = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", BROKEN)
 def test_a_broken_demonstration_is_named_and_can_be_left_out(what: str, tmp_path: Path) -> None:
     change, words = BROKEN[what]

@@ -77,6 +77,7 @@ def test_lerobot_reads_every_frame_back(store: NativeStore, exported: Path) -> N
     assert dataset.meta.features["action"]["names"] == list(store.spec.action_names)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("codec", ["av1", "h264"])
 def test_videos_read_back_much_alike(store: NativeStore, cache: Path, tmp_path: Path, codec: Codec) -> None:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
@@ -98,6 +99,7 @@ def test_a_store_without_images_can_be_exported(cache: Path, tmp_path: Path) -> 
     assert (tmp_path / "out" / "meta" / "info.json").exists()
 
 
+@pytest.mark.slow
 def test_skills_are_subtasks_for_who_asks(store: NativeStore, cache: Path, tmp_path: Path) -> None:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
@@ -140,6 +142,7 @@ def test_what_cannot_be_exported_is_said(store: NativeStore, exported: Path, tmp
         export_lerobot(empty, tmp_path / "out")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt()])
 def test_a_failure_leaves_nothing_behind(
     store: NativeStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failure: BaseException

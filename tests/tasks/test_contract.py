@@ -101,6 +101,7 @@ def test_two_that_are_built_alike_start_alike(world: Any) -> None:
     assert not np.array_equal(world.sim_state(), other.sim_state())
 
 
+@pytest.mark.slow
 def test_starts_are_sound_and_at_rest(world: Any) -> None:
     still = motion(world, grip=-1.0)
     for seed in range(8):
@@ -173,6 +174,7 @@ def test_the_expert_remembers_nothing(world: Any) -> None:
         world.step(action)
 
 
+@pytest.mark.slow
 def test_play_changes_what_goals_speak_of_and_is_told_by_its_seed(world: Any) -> None:
     player = PLAYERS.get(world.config.get_choice_name(type(world.config)), PlayConfig())
 

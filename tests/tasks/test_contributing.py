@@ -6,6 +6,7 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
+import pytest
 
 from playlearn.config import from_dict
 from playlearn.episode import Goal, Observation
@@ -18,6 +19,7 @@ CONTRIBUTING = Path(__file__).parents[2] / "CONTRIBUTING.md"
 HEADING = "## A task that you registered with robosuite"
 
 
+@pytest.mark.slow
 def test_the_task_shown_can_be_driven_and_played() -> None:
     section = CONTRIBUTING.read_text().split(HEADING)[1].split("\n## ")[0]
     blocks = re.findall(r"```python\n(.*?)```", section, re.DOTALL)

@@ -56,6 +56,7 @@ def turned_right_about(world: NutAssemblyWorld, begin: float, seed: int) -> bool
     return rollout([world], expert_for(world), [Goal(goal)], seeds=[0], max_steps=300, stop=there)[0].ended == "stopped"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("world", ["square"], indirect=True)
 @pytest.mark.parametrize("begin", [-2.6, 0.8, 1.6, 3.0])
 def test_the_expert_turns_a_nut_right_about(world: NutAssemblyWorld, begin: float) -> None:

@@ -43,7 +43,8 @@ def theirs(kind: str, **options: Any) -> Any:
     return SceneEnv("scene", **options) if kind == "scene" else CubeEnv(kind, **options)
 
 
-@pytest.mark.parametrize("kind", [pytest.param("double", marks=pytest.mark.slow), "scene"])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["double", "scene"])
 def test_a_step_is_ogbenchs_own_bit_for_bit(kind: str, scene: Any, two: Any) -> None:
     """Clones, restored states and renderings in between change nothing."""
     world, other = {"double": two, "scene": scene}[kind], theirs(kind)
@@ -176,6 +177,7 @@ def reached(world: Any, name: str, seed: int) -> bool:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "name"), [("double", "task4_swap"), ("scene", "task5_rearrange_hard")])
 def test_the_expert_does_the_hardest_tasks(kind: str, name: str, scene: Any, two: Any) -> None:
     """A swap needs a cube laid aside; the hardest of the scene eight things in their order."""
@@ -193,6 +195,7 @@ def settled(scene: Any, seed: int) -> bool:
     return len(episode.meta.skills) >= 2 and table.offsets[-1] >= 2 and len(things) >= 2
 
 
+@pytest.mark.slow
 def test_play_settles_on_many_things(scene: Any) -> None:
     """And its skills say which."""
     assert often((settled(scene, seed) for seed in range(2, 10)), done=1, missed=8)

@@ -36,6 +36,7 @@ def reach(world: PiecesWorld, goal: Array, steps: int = 400) -> bool:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("height", [0.822, 0.835, 0.839, 0.845, 0.9])
 def test_lifted_is_what_robosuite_calls_lifted(height: float) -> None:
     world = LiftConfig().build()
@@ -113,6 +114,7 @@ def taken_apart(stack: PiecesWorld, seed: int) -> bool:
     return reach(stack, goal)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("made", [upside_down, swapped, taken_apart])
 def test_the_expert_makes_any_arrangement_of_any_other(
     stack: PiecesWorld, made: Callable[[PiecesWorld, int], bool]

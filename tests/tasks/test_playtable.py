@@ -69,6 +69,7 @@ def test_the_same_seed_gives_the_same_start(world: PlayTableWorld) -> None:
     np.testing.assert_array_equal(first, world.sim_state())
 
 
+@pytest.mark.slow
 def test_starts_are_at_rest_and_free_of_collisions(world: PlayTableWorld) -> None:
     for seed in range(40):
         world.reset(seed)
@@ -212,6 +213,7 @@ def test_the_button_toggles_once_a_press(world: PlayTableWorld) -> None:
     assert seen == [led, 1 - led, 1 - led, 1 - led, 1 - led, led]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lamp", ["lamp", "lever"])
 def test_each_lamp_is_seen_to_be_lit(world: PlayTableWorld, lamp: str) -> None:
     world.reset(0)
@@ -287,6 +289,7 @@ def begin(world: PlayTableWorld, name: str, seed: int) -> tuple[np.ndarray, np.n
     pytest.fail(f"{name}: no start in 20 draws")
 
 
+@pytest.mark.slow
 def test_every_task_can_be_set_up_and_is_not_won_at_the_start(world: PlayTableWorld) -> None:
     for name, task in world.tasks.items():
         start, goal = begin(world, name, 1)

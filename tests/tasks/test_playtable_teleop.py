@@ -54,6 +54,7 @@ def drive(world: PlayTableWorld, goal: np.ndarray, steps: int, content: Callable
     return False
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
@@ -155,6 +156,7 @@ def brought(world: PlayTableWorld, start: Callable[[PlayTableWorld, int], np.nda
     return drive(world, goal, FAR[start], lambda now: world.reached(now, goal))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "start", [pytest.param(start, marks=[] if start is two_swapped else [pytest.mark.slow]) for start in FAR]
 )

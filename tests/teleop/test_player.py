@@ -204,6 +204,7 @@ def test_a_config_that_cannot_be_is_refused(wrong: dict[str, object]) -> None:
         PlayConfig(**wrong)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_the_three_characters_differ_as_they_say() -> None:
     clean, human, noisy = (load_config(CollectConfig, CONFIGS / f"{n}.yaml").play for n in ("clean", "human", "noisy"))
     assert strayed(play(clean)[0]).max() == 0
