@@ -71,7 +71,7 @@ class EpisodeMeta:
     environment: `{"type": kind, ...}`, the environment's full config, enough to build it again.
     *_names: what each index of state, achieved and action means. skills: the names `skill` indexes.
     cameras: name -> {"height", "width"} of the recorded images. renderer: GL back end and device.
-    versions: package -> version. actor: who acted. ended: why the episode stopped. split: "train" or "heldout" where
+    versions: package -> version. actor: who acted. ended: why the episode stopped. split: "train" or "val" where
     who recorded it said so; "" leaves it to the episode's number.
     """
 

@@ -160,7 +160,7 @@ class LocalExecutor:
         self.workers = workers
         self._timeout = timeout
         self._retries = retries
-        self._crew: list[_Worker] = []
+        self._workers: list[_Worker] = []
         self._keep = False
 
     def __enter__(self) -> Self:
@@ -173,14 +173,14 @@ class LocalExecutor:
 
     def run(self, jobs: Iterable[Job], *, keep_going: bool = False) -> Iterator[Result]:
         pending = deque(_Task(job) for job in jobs)
-        crew = self._crew
+        workers = self._workers
         try:
-            while pending or any(worker.task for worker in crew):
-                self._hand_out(pending, crew)
-                for worker, task in self._ready(crew):
+            while pending or any(worker.task for worker in workers):
+                self._hand_out(pending, workers)
+                for worker, task in self._ready(workers):
                     result = worker.collect(task)
                     if result is None and (worker.dead() or task.overdue(self._timeout)):
-                        crew.remove(worker)
+                        workers.remove(worker)
                         result = self._lost(worker, task, pending)
                     if result is None:
                         continue
@@ -192,21 +192,21 @@ class LocalExecutor:
 
     def _let_go(self) -> None:
         """Dismiss the crew; inside a `with` block only those that are in the middle of something."""
-        leaving = [worker for worker in self._crew if not self._keep or worker.task is not None]
-        self._crew = [worker for worker in self._crew if worker not in leaving]
-        _dismiss(leaving)
+        leaving = [worker for worker in self._workers if not self._keep or worker.task is not None]
+        self._workers = [worker for worker in self._workers if worker not in leaving]
+        _stop(leaving)
 
-    def _hand_out(self, pending: deque["_Task"], crew: list["_Worker"]) -> None:
-        idle = [worker for worker in crew if worker.task is None]
-        while pending and (idle or len(crew) < self.workers):
+    def _hand_out(self, pending: deque["_Task"], workers: list["_Worker"]) -> None:
+        idle = [worker for worker in workers if worker.task is None]
+        while pending and (idle or len(workers) < self.workers):
             if not idle:
-                crew.append(_Worker())
-                idle.append(crew[-1])
+                workers.append(_Worker())
+                idle.append(workers[-1])
             idle.pop().start(pending.popleft())
 
-    def _ready(self, crew: list["_Worker"]) -> list[tuple["_Worker", "_Task"]]:
+    def _ready(self, workers: list["_Worker"]) -> list[tuple["_Worker", "_Task"]]:
         """The busy workers that answered, died or are overdue; waits until there is one."""
-        busy = [(worker, worker.task) for worker in crew if worker.task is not None]
+        busy = [(worker, worker.task) for worker in workers if worker.task is not None]
         until = None
         if self._timeout is not None:
             until = max(0.0, min(task.started for _, task in busy) + self._timeout - time.perf_counter())
@@ -221,7 +221,7 @@ class LocalExecutor:
     def _lost(self, worker: "_Worker", task: "_Task", pending: deque["_Task"]) -> Result | None:
         """Put the job of a lost worker back in front, or give up on it."""
         overdue = worker.process.is_alive() and task.overdue(self._timeout)
-        why = worker.bury()
+        why = worker.join()
         if overdue:
             why = f"did not finish within {self._timeout:g} s"
         if task.tries <= self._retries:
@@ -281,7 +281,7 @@ class _Worker:
         """Whether nothing more will come from it."""
         return self._silent or not self.process.is_alive()
 
-    def bury(self) -> str:
+    def join(self) -> str:
         """Make sure that a lost worker is gone; how it ended, in words."""
         self.process.join(timeout=0.1)  # its pipe may close a moment before it is dead
         self.process.kill()
@@ -290,7 +290,7 @@ class _Worker:
         code = self.process.exitcode or 0
         return f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
 
-    def dismiss(self) -> None:
+    def stop(self) -> None:
         """Tell an idle worker to go home; stop one that is still busy."""
         try:
             if self.task is None:
@@ -301,10 +301,10 @@ class _Worker:
             self.process.kill()
 
 
-def _dismiss(crew: list[_Worker]) -> None:
-    for worker in crew:
-        worker.dismiss()
-    for worker in crew:
+def _stop(workers: list[_Worker]) -> None:
+    for worker in workers:
+        worker.stop()
+    for worker in workers:
         worker.process.join(timeout=5)
         worker.process.kill()
         worker.process.join()

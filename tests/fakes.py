@@ -35,10 +35,10 @@ class PointConfig(EnvironmentConfig):
     diverge_at: int | None = None
 
     def build(self) -> Environment:
-        return PointWorld(self)
+        return PointEnv(self)
 
 
-class PointWorld:
+class PointEnv:
     """sim state: time, hand x y, grip, puck x y, lamp, whether the puck is held."""
 
     spec = EnvironmentSpec(
@@ -109,7 +109,7 @@ class PointWorld:
         return bool(np.linalg.norm(achieved[:2] - goal[:2]) < TOLERANCE and abs(achieved[2] - goal[2]) < 0.5)
 
     def render(self, camera: str, height: int | None = None, width: int | None = None) -> Array:
-        """The table grey, the hand black, the puck red, the lamp in the corner."""
+        """The table gray, the hand black, the puck red, the lamp in the corner."""
         size = self._sizes[camera]
         height, width = height or size.height, width or size.width
         self.renders.append(camera)
@@ -223,7 +223,7 @@ def _towards(hand: Array, target: Array, grip: float, skill: str) -> Decision:
     return Decision(np.array([*delta, grip], dtype=np.float32), skill=skill)
 
 
-class PointPlayer:
+class PointPlayPolicy:
     """Unstructured play: fetches the puck, drags it somewhere, at times presses the button; sees no goal."""
 
     name = "player"

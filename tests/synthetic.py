@@ -32,7 +32,7 @@ def make_episode(
     mod 256, seed mod 256, camera number), the rest is a picture that changes with the achieved goal.
     """
     sizes = dict(cameras) if isinstance(cameras, Mapping) else dict.fromkeys(cameras, (16, 16))
-    achieved, skill = _world(rng, steps)
+    achieved, skill = _env(rng, steps)
     state = np.cumsum(rng.normal(0, 0.004, (steps + 1, len(STATE))), axis=0).astype(np.float32)
     action = np.clip(rng.normal(0, 0.4, (steps, len(ACTION))), -1, 1).astype(np.float32)
     meta = EpisodeMeta(
@@ -79,7 +79,7 @@ def make_store(
     return store
 
 
-def _world(rng: np.random.Generator, steps: int) -> tuple[Array, Array]:
+def _env(rng: np.random.Generator, steps: int) -> tuple[Array, Array]:
     """achieved (T+1, G) float32 with less than 1 mm of jitter, and skill (T,) int16."""
     achieved = np.zeros((steps + 1, len(ACHIEVED)))
     skill = np.zeros(steps, np.int16)

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from playlearn.config import load_config
-from playlearn.evaluate import Trained, evaluate
+from playlearn.evaluation import TrainedRecipe, evaluate
 from playlearn.policies import Policy
-from playlearn.train import TrainConfig
+from playlearn.training import TrainConfig
 from tests.shares import often
 
 ROOT = Path(__file__).parents[1]
@@ -32,7 +32,7 @@ def test_a_shipped_policy_is_small_and_what_its_config_says(run: Path) -> None:
 def test_a_shipped_policy_opens_the_drawer(goal: str, tmp_path: Path) -> None:
     """Measured on all tasks it reaches nine goals of ten, and the drawer's always: of four tries one has to."""
     run = ROOT / "eval" / "pretrained" / goal
-    Trained(run, goal).check()
+    TrainedRecipe(run, goal).check()
 
     def opened(seed: int) -> bool:
         results = evaluate(

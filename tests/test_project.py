@@ -89,7 +89,7 @@ def test_no_pickle_and_no_global_randomness(files: list[Path]) -> None:
         re.MULTILINE,
     )
     # robosuite's placement knows only numpy's global state; it is lent a seed there, and what was global is put back
-    lent = ROOT / "playlearn" / "tasks" / "tabletop.py"
+    lent = ROOT / "playlearn" / "envs" / "tabletop.py"
     sources = [file for file in files if file.match("playlearn/**/*.py") and file != lent]
     assert [file for file in sources if forbidden.search(read(file))] == []
 
@@ -103,7 +103,7 @@ def test_the_set_up_scripts_are_sound() -> None:
 
 @pytest.mark.parametrize("path", sorted((ROOT / "configs" / "collect").glob("*.yaml")), ids=lambda path: path.stem)
 def test_every_collect_config_is_right(path: Path) -> None:
-    from playlearn.collect import CollectConfig
+    from playlearn.collection import CollectConfig
     from playlearn.config import load_config
 
     assert load_config(CollectConfig, path).episodes > 0
@@ -112,14 +112,14 @@ def test_every_collect_config_is_right(path: Path) -> None:
 @pytest.mark.parametrize("path", sorted((ROOT / "configs" / "train").glob("*.yaml")), ids=lambda path: path.stem)
 def test_every_train_config_is_right(path: Path) -> None:
     from playlearn.config import load_config
-    from playlearn.train import TrainConfig
+    from playlearn.training import TrainConfig
 
     assert load_config(TrainConfig, path).resolved().steps > 0
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "eval" / "suites").glob("*.yaml")), ids=lambda path: path.stem)
 def test_every_suite_is_right_and_named_as_its_file(path: Path) -> None:
-    from playlearn.evaluate import load_suite
+    from playlearn.evaluation import load_suite
 
     assert load_suite(path).name == path.stem
 
@@ -130,12 +130,12 @@ def test_the_kinds_that_contributing_shows_work() -> None:
 
     from playlearn.policies import heads
     from playlearn.policies.heads import HeadConfig, masked_mean
-    from playlearn.relabel import GoalSamplerConfig, Table
-    from playlearn.relabel.base import later
+    from playlearn.relabeling import GoalSamplerConfig, RelabelIndex
+    from playlearn.relabeling.base import later
 
     sampler, head, *_ = re.findall(r"```python\n(.*?)```", read(ROOT / "CONTRIBUTING.md"), re.DOTALL)
     known: dict[str, Any] = {**vars(heads), "dataclass": dataclass, "masked_mean": masked_mean, "nn": torch.nn}
-    known |= {"GoalSamplerConfig": GoalSamplerConfig, "Table": Table, "later": later, "np": np}
+    known |= {"GoalSamplerConfig": GoalSamplerConfig, "RelabelIndex": RelabelIndex, "later": later, "np": np}
     known |= {"GoalSampler": Any, "Indices": Any, "NDArray": np.ndarray}
     try:
         exec(sampler, known)  # noqa: S102 - our own text

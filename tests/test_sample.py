@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from playlearn.collect import CollectConfig, episode_seed
+from playlearn.collection import CollectConfig, episode_seed
 from playlearn.config import from_dict, load_config
 from playlearn.data import DataConfig
-from playlearn.relabel import SettlingConfig, Table
+from playlearn.relabeling import RelabelIndex, SettlingConfig
 from playlearn.report.store_report import write_report
 from playlearn.sim import Environment, EnvironmentConfig
 from playlearn.store import NativeStore
@@ -49,30 +49,30 @@ def test_it_is_of_the_present_scene(store: NativeStore) -> None:
 
     After a change of the scene: `make sample`. 1e-5: observations are float32, and other processors round elsewhere.
     """
-    world = from_dict(EnvironmentConfig, dict(store.spec.environment)).build()
+    env = from_dict(EnvironmentConfig, dict(store.spec.environment)).build()
     for i in range(len(store)):
         played = store.read(i)
         for t in (0, len(played) // 2, len(played)):
-            world.set_state(np.array(played.sim_state[t]))
-            np.testing.assert_allclose(world.observe().achieved, played.achieved[t], atol=1e-5)
-            np.testing.assert_allclose(world.observe().state, played.state[t], atol=1e-5)
-        world.set_state(np.array(played.sim_state[0]))
+            env.set_state(np.array(played.sim_state[t]))
+            np.testing.assert_allclose(env.observe().achieved, played.achieved[t], atol=1e-5)
+            np.testing.assert_allclose(env.observe().state, played.state[t], atol=1e-5)
+        env.set_state(np.array(played.sim_state[0]))
         for action in played.action[:10]:
-            world.step(action)
-        np.testing.assert_allclose(world.observe().state, played.state[10], atol=1e-5)
+            env.step(action)
+        np.testing.assert_allclose(env.observe().state, played.state[10], atol=1e-5)
 
 
 def test_it_has_what_play_has(store: NativeStore) -> None:
     """Changes that came to rest, of several things; plans, mistakes, slips and pauses."""
-    table = Table.of_store(store, SettlingConfig())
+    table = RelabelIndex.of_store(store, SettlingConfig())
     assert sum(count > 0 for count in table.change_counts().values()) >= 3
     said = {mark for i in range(len(store)) for skill in store.meta(i).skills for mark in skill.split(":")[1:]}
-    assert {"planned", "mistake", "slip", "pause"} <= said
+    assert {"open_loop", "mistake", "slip", "pause"} <= said
 
 
 def test_it_can_be_learned_from(store: NativeStore) -> None:
     """Batches with the goal images of the next settled moments."""
-    config = DataConfig(cameras=("front", "wrist"), goal_cameras=("front",), heldout_share=0.0)
+    config = DataConfig(cameras=("front", "wrist"), goal_cameras=("front",), val_fraction=0.0)
     batch = config.build(store, "train", 0).batch(0, np.arange(8))
     assert batch.goal_images["front"].shape == (8, 48, 64, 3)
     assert (batch.steps_to_goal >= 1).all()

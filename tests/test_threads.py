@@ -16,8 +16,8 @@ import torch
 
 from playlearn import cli
 from playlearn.bench.base import Figure, Size, _apart
+from playlearn.data.prefetch import prepared_ahead
 from playlearn.executor import Job, LocalExecutorConfig
-from playlearn.prefetch import prepared_ahead
 from playlearn.threads import environment, in_force, limit
 
 ROOT = Path(__file__).parents[1]
@@ -56,7 +56,7 @@ def test_what_is_imported_already_is_limited_too(threads: int) -> None:
     """In the main thread and in the one that prepares batches (numba counts by thread). Inter-op is one in any case."""
     code = (
         "import json, numpy, scipy.linalg, numba, torch\n"
-        "from playlearn.prefetch import prepared_ahead\n"
+        "from playlearn.data.prefetch import prepared_ahead\n"
         "from playlearn.threads import in_force, limit\n"
         "torch.set_num_threads(3)\n"
         "before = in_force()\n"
@@ -92,15 +92,15 @@ def test_what_a_command_imports_is_limited() -> None:
 @pytest.mark.parametrize(
     ("job", "words"),
     [
-        ("playlearn.evaluate.evaluate", "eval --policy expert --suite s --goal state --out o"),
-        ("playlearn.diagnose.diagnose", "diagnose --run r --suite s --goal state --out o"),
+        ("playlearn.evaluation.evaluate", "eval --policy expert --suite s --goal state --out o"),
+        ("playlearn.evaluation.diagnosis.diagnose", "diagnose --run r --suite s --goal state --out o"),
         ("playlearn.dagger.dagger", "dagger --config configs/dagger/playtable_state.yaml --run r --out o"),
-        ("playlearn.compare.compare", "compare --config configs/compare/heads_state.yaml --out o"),
-        ("playlearn.train.train", "train --config configs/train/playtable_state_diffusion.yaml --out o"),
-        ("playlearn.collect.collect", "collect --config configs/collect/playtable.yaml --out o"),
-        ("playlearn.collect.render_store", "render s o --camera front=8x8"),
+        ("playlearn.experiments.compare.compare", "compare --config configs/compare/heads_state.yaml --out o"),
+        ("playlearn.training.train", "train --config configs/train/playtable_state_diffusion.yaml --out o"),
+        ("playlearn.collection.collect", "collect --config configs/collect/playtable.yaml --out o"),
+        ("playlearn.collection.render_store", "render s o --camera front=8x8"),
         ("playlearn.bench.run", "bench sim"),
-        ("playlearn.lab.run", "lab --config configs/lab/fork.yaml --out o"),
+        ("playlearn.experiments.toy.run", "toy --config configs/toy/fork.yaml --out o"),
     ],
 )
 @pytest.mark.usefixtures("three")
@@ -120,7 +120,7 @@ def test_every_job_begins_with_one_thread(job: str, words: str, monkeypatch: pyt
 
 @pytest.mark.usefixtures("three")
 def test_an_experiment_of_the_lab_has_one_thread(tmp_path: Path) -> None:
-    from playlearn.lab.base import Experiment, run
+    from playlearn.experiments.toy.base import Experiment, run
 
     class Counted(Experiment):
         def measure(self, _say: Any) -> Any:

@@ -69,7 +69,7 @@ class Size:
     steps: int = 200
     rounds: int = 5
     episodes: int = 1000
-    worlds: tuple[str, ...] = ("playtable", "lift")
+    envs: tuple[str, ...] = ("playtable", "lift")
     out: Path | None = None
 
 
@@ -119,9 +119,9 @@ def run(names: Sequence[str], size: Size, say: Callable[[Figure], None]) -> list
     limit()
     figures = []
     for name in names or tuple(BENCHMARKS):
-        alone = [replace(size, worlds=(world,)) for world in size.worlds] if name in _BY_WORLD else [size]
+        alone = [replace(size, envs=(env,)) for env in size.envs] if name in _BY_WORLD else [size]
         for one in alone:
-            measuring(f"{name}{f', {one.worlds[0]}' if name in _BY_WORLD else ''}: starting")
+            measuring(f"{name}{f', {one.envs[0]}' if name in _BY_WORLD else ''}: starting")
             with closing(_apart(BENCHMARKS[name], one)) as rows:
                 for figure in rows:
                     say(figure)

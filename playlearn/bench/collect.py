@@ -7,12 +7,12 @@ from functools import partial
 from pathlib import Path
 
 from playlearn.bench.base import Figure, Size, measuring, rates, timed
-from playlearn.bench.worlds import SEED, SIDE, Pair, actions, pairs
-from playlearn.collect import CollectConfig, play
-from playlearn.collect import collect as collect_store
+from playlearn.bench.envs import SEED, SIDE, Pair, actions, pairs
+from playlearn.collection import CollectConfig, play
+from playlearn.collection import collect as collect_store
+from playlearn.envs import PlayTableConfig
 from playlearn.sim import CameraConfig
 from playlearn.store import write_episode
-from playlearn.tasks import PlayTableConfig
 
 CAMERAS = ("front", "wrist")
 
@@ -47,8 +47,8 @@ def collecting(size: Size) -> Iterator[Figure]:
 
 
 def _config(cameras: Sequence[str], size: Size, episodes: int = 1) -> CollectConfig:
-    world = PlayTableConfig(cameras={name: CameraConfig(SIDE, SIDE) for name in CAMERAS})
-    return CollectConfig(environment=world, cameras=tuple(cameras), episodes=episodes, steps=size.steps, seed=SEED)
+    env = PlayTableConfig(cameras={name: CameraConfig(SIDE, SIDE) for name in CAMERAS})
+    return CollectConfig(environment=env, cameras=tuple(cameras), episodes=episodes, steps=size.steps, seed=SEED)
 
 
 def _ours(config: CollectConfig, out: Path) -> tuple[int, float]:

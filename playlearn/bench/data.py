@@ -18,14 +18,14 @@ from typing import Any
 import torch
 
 from playlearn.bench.base import Figure, Size, measuring, rates
-from playlearn.bench.worlds import SEED, SIDE
-from playlearn.collect import CollectConfig, collect
+from playlearn.bench.envs import SEED, SIDE
+from playlearn.collection import CollectConfig, collect
 from playlearn.data import Batch, DataConfig, PlayDataset
-from playlearn.relabel import UniformConfig
+from playlearn.envs import PlayTableConfig
+from playlearn.relabeling import UniformConfig
 from playlearn.sim import CameraConfig
 from playlearn.store import LeRobotStoreConfig, NativeStore
 from playlearn.store.lerobot.export import Codec, export_lerobot
-from playlearn.tasks import PlayTableConfig
 
 EXAMPLES = 64
 CHUNK = 16
@@ -39,7 +39,7 @@ def reading(size: Size) -> Iterator[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         store = _store(Path(folder) / "play", size)
         goals = UniformConfig(horizon=HORIZON)
-        config = DataConfig(goals=goals, chunk=CHUNK, cameras=CAMERAS, goal_cameras=(GOAL_CAMERA,), heldout_share=0)
+        config = DataConfig(goals=goals, chunk=CHUNK, cameras=CAMERAS, goal_cameras=(GOAL_CAMERA,), val_fraction=0)
         ours = PlayDataset(store, config, seed=SEED)
         kinds: dict[str, Codec | None] = {"images": None, "video": "av1"}
         for kind, videos in kinds.items():
@@ -62,8 +62,8 @@ def reading(size: Size) -> Iterator[Figure]:
 
 
 def _store(out: Path, size: Size) -> NativeStore:
-    world = PlayTableConfig(cameras={name: CameraConfig(SIDE, SIDE) for name in CAMERAS})
-    collect(CollectConfig(environment=world, cameras=CAMERAS, episodes=4, steps=size.steps, seed=SEED), out, workers=0)
+    env = PlayTableConfig(cameras={name: CameraConfig(SIDE, SIDE) for name in CAMERAS})
+    collect(CollectConfig(environment=env, cameras=CAMERAS, episodes=4, steps=size.steps, seed=SEED), out, workers=0)
     return NativeStore.open(out)
 
 

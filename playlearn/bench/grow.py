@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from playlearn.bench.base import Figure, Size, measuring
-from playlearn.collect import CollectConfig, collect, play
+from playlearn.collection import CollectConfig, collect, play
+from playlearn.envs import PlayTableConfig
 from playlearn.store import NativeStore
-from playlearn.tasks import PlayTableConfig
 
 PART = 50
 STEPS = 10

@@ -12,9 +12,9 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from playlearn.bench.base import Figure, Size, measuring, rates
-from playlearn.bench.worlds import SEED, SIDE, Pair, actions, pairs
+from playlearn.bench.envs import SEED, SIDE, Pair, actions, pairs
 from playlearn.episode import Array
-from playlearn.sim.lean import VISUAL_GROUP
+from playlearn.sim.rendering.simplify import VISUAL_GROUP
 
 FINE = 8  # the full-quality image is drawn so many times as large and averaged down
 COLLISION_GROUP = 0
@@ -27,7 +27,7 @@ def rendering(size: Size) -> Iterator[Figure]:
     The limit draws collision geoms only, plainly. The last figures are SSIM (1: the same) between our image
     and the full scene, drawn FINE times as large with every face, multisampling and shadows, averaged down.
     """
-    for pair in pairs(size.worlds, images=True):
+    for pair in pairs(size.envs, images=True):
         measuring(f"{pair.name}: two {SIDE}x{SIDE} images")
         states = _walk(pair, size.steps)
         bare = _Plain(pair, COLLISION_GROUP, SIDE)
@@ -105,7 +105,7 @@ class _Plain:
     """`mujoco.Renderer` on the whole scene, showing one group of geoms; plain: no shadow, no smoothing."""
 
     def __init__(self, pair: Pair, group: int, side: int, *, plain: bool = True) -> None:
-        self._world, self._model = pair.ours, pair.ours.scene()
+        self._env, self._model = pair.ours, pair.ours.scene()
         self._cameras, self._data = pair.cameras, mujoco.MjData(self._model)
         self._model.vis.global_.offwidth = self._model.vis.global_.offheight = side
         self._model.vis.quality.offsamples = 0 if plain else 4
@@ -126,7 +126,7 @@ class _Plain:
     def drawn(self, states: Sequence[Array]) -> tuple[int, float]:
         seconds = 0.0
         for state in states:
-            self._world.set_state(state)
+            self._env.set_state(state)
             self._place()
             began = time.perf_counter()
             for camera in self._cameras:
@@ -135,8 +135,8 @@ class _Plain:
         return len(states) * len(self._cameras), seconds
 
     def _place(self) -> None:
-        self._world.paint(self._model)
-        self._data.qpos[:] = self._world.data.qpos
+        self._env.paint(self._model)
+        self._data.qpos[:] = self._env.data.qpos
         mujoco.mj_forward(self._model, self._data)
 
     def _draw(self, camera: str) -> Array:

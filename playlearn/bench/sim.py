@@ -7,12 +7,12 @@ from functools import partial
 import mujoco
 
 from playlearn.bench.base import Figure, Size, measuring, rates, timed
-from playlearn.bench.worlds import SEED, Pair, actions, pairs
+from playlearn.bench.envs import SEED, Pair, actions, pairs
 
 
 def stepping(size: Size) -> Iterator[Figure]:
     """PlayTable and Lift, one process; the limit is `mj_step` alone, from the very states that ours passes through."""
-    for pair in pairs(size.worlds, images=False):
+    for pair in pairs(size.envs, images=False):
         measuring(f"{pair.name}: control steps")
         measured = rates({"ours": partial(_ours, pair, size), "peer": partial(_peer, pair, size)}, size.rounds)
         measured["limit"] = _limit(pair, size)
@@ -44,15 +44,15 @@ def _peer(pair: Pair, size: Size) -> tuple[int, float]:
 
 def _limit(pair: Pair, size: Size) -> float:
     """Control steps a second of physics alone: each state of a walk of ours, one period on with the controls held."""
-    world = pair.ours
-    substeps = round(1 / world.spec.fps / world.model.opt.timestep)
-    world.reset(SEED)
+    env = pair.ours
+    substeps = round(1 / env.spec.fps / env.model.opt.timestep)
+    env.reset(SEED)
     seconds = 0.0
     for action in actions(size.steps):
-        world.step(action)
-        after = world.sim_state()
+        env.step(action)
+        after = env.sim_state()
         began = time.perf_counter()
-        mujoco.mj_step(world.model, world.data, substeps)
+        mujoco.mj_step(env.model, env.data, substeps)
         seconds += time.perf_counter() - began
-        world.set_state(after)
+        env.set_state(after)
     return size.steps / seconds

@@ -20,7 +20,7 @@ from playlearn.policies.encoders import StateConfig
 from playlearn.policies.heads import DiffusionConfig
 from playlearn.policies.trunks import TransformerConfig
 from playlearn.threads import limit
-from playlearn.train import TrainConfig
+from playlearn.training import TrainConfig
 
 EXAMPLES = 128
 POLICY = PolicyConfig(

@@ -3,10 +3,10 @@
 Held equal: the batch; three images an example (front and wrist now, front in the goal: to LeRobot, whose policies
 know no goals, a third camera), their size, state and action; one observation of history, the chunk, the length of
 the noise schedule; the number of parameters as nearly as each one's own sizes allow, which the figure's name tells;
-AdamW or Adam in float32; one thread. An update is forward, backward, clipping of the gradient and the optimiser's
+AdamW or Adam in float32; one thread. An update is forward, backward, clipping of the gradient and the optimizer's
 step; its seconds are those that the processor works on it, so that other work on the machine disturbs neither.
 
-In LeRobot's favour: its images come as normalised floats (its processor makes them so before every update), ours as
+In LeRobot's favor: its images come as normalized floats (its processor makes them so before every update), ours as
 they are stored; ours keeps an average of its weights besides.
 """
 
@@ -19,7 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from playlearn.bench.base import Figure, Size, measuring, rates
-from playlearn.bench.worlds import SEED, SIDE
+from playlearn.bench.envs import SEED, SIDE
 from playlearn.data import Batch
 from playlearn.policies import Policy, PolicyConfig, PolicySpec
 from playlearn.policies.ema import averaged
@@ -95,7 +95,7 @@ def an_update(policy: Policy, examples: int) -> Callable[[], None]:
         images=images,
         history_mask=torch.ones(examples, 1, dtype=torch.bool),
         goal_achieved=torch.randn(examples, ACHIEVED),
-        goal_state=torch.randn(examples, STATE),
+        goal_proprio=torch.randn(examples, STATE),
         goal_images={GOAL_CAMERA: images[GOAL_CAMERA][:, 0]},
         action=torch.rand(examples, policy.config.chunk, ACTION) * 2 - 1,
         action_mask=torch.ones(examples, policy.config.chunk, dtype=torch.bool),

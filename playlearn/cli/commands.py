@@ -13,8 +13,8 @@ DONE, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
 
 
 def collect(arguments: argparse.Namespace) -> int:
-    from playlearn.collect import CollectConfig, collect_by_hand, collect_one
-    from playlearn.collect import collect as run
+    from playlearn.collection import CollectConfig, collect_by_hand, collect_one
+    from playlearn.collection import collect as run
     from playlearn.config import load_config
 
     overrides = _flags(arguments, "episodes", "seed") + arguments.overrides
@@ -45,19 +45,19 @@ def info(arguments: argparse.Namespace) -> int:
     for problem in problems:
         print(f"playlearn: {problem}", file=sys.stderr)
     if arguments.report:
-        from playlearn.collect.world import world
+        from playlearn.collection.env import env
         from playlearn.config import from_dict
         from playlearn.report.store_report import write_report
         from playlearn.sim import EnvironmentConfig
 
         for path in arguments.report:
-            write_report(store, path, lambda: world(from_dict(EnvironmentConfig, dict(store.spec.environment))))
+            write_report(store, path, lambda: env(from_dict(EnvironmentConfig, dict(store.spec.environment))))
             print(f"report  {path}", file=sys.stderr)
     return FAILED if problems else DONE
 
 
 def render(arguments: argparse.Namespace) -> int:
-    from playlearn.collect import render_store
+    from playlearn.collection import render_store
     from playlearn.sim.environment import CameraConfig
 
     cameras = {name: CameraConfig(height=height, width=width) for name, height, width in arguments.camera}
@@ -79,8 +79,8 @@ def view(arguments: argparse.Namespace) -> int:
 
 def train(arguments: argparse.Namespace) -> int:
     from playlearn.config import load_config
-    from playlearn.train import TrainConfig
-    from playlearn.train import train as run
+    from playlearn.training import TrainConfig
+    from playlearn.training import train as run
 
     config = load_config(TrainConfig, arguments.config, _flags(arguments, "store") + arguments.overrides)
     run(config, arguments.out, resume=arguments.resume)
@@ -88,7 +88,7 @@ def train(arguments: argparse.Namespace) -> int:
 
 
 def evaluate(arguments: argparse.Namespace) -> int:
-    from playlearn.evaluate import evaluate as run
+    from playlearn.evaluation import evaluate as run
 
     limit()  # of what that has imported, too
     results = run(
@@ -101,7 +101,7 @@ def evaluate(arguments: argparse.Namespace) -> int:
         episodes=arguments.episodes,
         workers=arguments.workers,
         seed=arguments.seed,
-        references=not arguments.alone,
+        references=not arguments.no_baselines,
         overrides=arguments.overrides,
     )
     if arguments.json:
@@ -143,8 +143,8 @@ def demo(arguments: argparse.Namespace) -> int:
 
 
 def diagnose(arguments: argparse.Namespace) -> int:
-    from playlearn.diagnose import diagnose as run
-    from playlearn.diagnose import said
+    from playlearn.evaluation.diagnosis import diagnose as run
+    from playlearn.evaluation.diagnosis import format_summary
 
     limit()
     results = run(
@@ -157,7 +157,7 @@ def diagnose(arguments: argparse.Namespace) -> int:
         seed=arguments.seed,
         overrides=arguments.overrides,
     )
-    print(json.dumps(results, indent=2) if arguments.json else said(results))
+    print(json.dumps(results, indent=2) if arguments.json else format_summary(results))
     if not arguments.json:
         print(f"report     {arguments.out / 'diagnosis.html'}")
     return DONE
@@ -186,7 +186,7 @@ def _export_lerobot(arguments: argparse.Namespace) -> int:
     from playlearn.lerobot.share import contents, push, share
     from playlearn.report.progress import Progress
     from playlearn.store import open_store
-    from playlearn.store.lerobot.opening import is_lerobot
+    from playlearn.store.lerobot.metadata import is_lerobot
 
     kind = [] if arguments.goals is None else [f"--goals.type={arguments.goals}"]
     if arguments.overrides and not kind:
@@ -206,13 +206,13 @@ def _export_lerobot(arguments: argparse.Namespace) -> int:
 
 def _export_robomimic(arguments: argparse.Namespace) -> int:
     from playlearn.data import DataConfig
+    from playlearn.data.split import val_mask
     from playlearn.report.progress import Progress
-    from playlearn.split import held_out
     from playlearn.store import open_store
     from playlearn.store.robomimic_export import export_robomimic
 
     store = open_store(arguments.source)
-    out, numbers = held_out(store, DataConfig().heldout_share), store.indices()
+    out, numbers = val_mask(store, DataConfig().val_fraction), store.indices()
     masks = {"train": numbers[~out].tolist(), "valid": numbers[out].tolist()}
     with Progress(f"export {arguments.out}", len(store), "episode") as progress:
         export_robomimic(store, arguments.out, masks, progress.to)
@@ -270,9 +270,9 @@ def _lerobot(source: Path, overrides: list[str]) -> Any:
 IMPORTS = {"lerobot": _lerobot, "robomimic": _robomimic, "robosuite": _robosuite, "ogbench": _ogbench}
 
 
-def lab(arguments: argparse.Namespace) -> int:
-    from playlearn.lab import load_experiment
-    from playlearn.lab import run as measure
+def toy(arguments: argparse.Namespace) -> int:
+    from playlearn.experiments.toy import load_experiment
+    from playlearn.experiments.toy import run as measure
 
     experiment = load_experiment(arguments.config, arguments.overrides)
     rows = measure(experiment, arguments.out, lambda words: print(words, file=sys.stderr, flush=True))
@@ -283,9 +283,9 @@ def lab(arguments: argparse.Namespace) -> int:
 
 
 def compare(arguments: argparse.Namespace) -> int:
-    from playlearn.compare import CompareConfig
-    from playlearn.compare import compare as run
     from playlearn.config import load_config
+    from playlearn.experiments.compare import CompareConfig
+    from playlearn.experiments.compare import compare as run
     from playlearn.report.compared import table
 
     limit()

@@ -89,9 +89,9 @@ def _parser() -> argparse.ArgumentParser:
     made.add_argument(
         "--encoder", type=Path, metavar="RUN", help="let a state policy look through this run's image encoder"
     )
-    made.add_argument("--alone", action="store_true", help="without the expert and chance beside it")
+    made.add_argument("--no-baselines", action="store_true", help="without the expert and chance beside it")
 
-    words = "let a policy practise under an expert's eyes, and train it further, in rounds"
+    words = "let a policy practice under an expert's eyes, and train it further, in rounds"
     made = verb(commands.dagger, "dagger", words, free=True, kept=kept)
     _config(made, "configs/dagger/NAME.yaml")
     made.add_argument("--run", type=Path, required=True, metavar="RUN", help="the training run to begin with")
@@ -131,7 +131,7 @@ def _parser() -> argparse.ArgumentParser:
         nargs="?",
         const="settled",
         metavar="SAMPLER",
-        help="relabelled: each window of play an episode that carries its goal, drawn by a sampler (default settled; "
+        help="relabeled: each window of play an episode that carries its goal, drawn by a sampler (default settled; "
         "its fields are set as `--goals.ahead 2`)",
     )
     made.add_argument(
@@ -149,8 +149,8 @@ def _parser() -> argparse.ArgumentParser:
     made.add_argument("out", type=Path, metavar="OUT")
     made.add_argument("--skip-broken", action="store_true", help="leave broken recordings out, and say which")
 
-    made = verb(commands.lab, "lab", "run a small experiment and plot what came out", free=True)
-    _config(made, "configs/lab/NAME.yaml")
+    made = verb(commands.toy, "toy", "run a small experiment and plot what came out", free=True)
+    _config(made, "configs/toy/NAME.yaml")
 
     made = verb(commands.compare, "compare", "train variants on the same play and judge them", free=True, kept=kept_too)
     _config(made, "configs/compare/NAME.yaml")

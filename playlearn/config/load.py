@@ -8,7 +8,7 @@ from typing import Any
 import yaml
 
 from playlearn.config.record import atomic_write
-from playlearn.config.schema import TYPE, Problem, build, complete, encode, nearest, said
+from playlearn.config.schema import TYPE, Problem, build, complete, encode, format_value, nearest
 from playlearn.errors import UsageError
 
 
@@ -73,7 +73,7 @@ def _read(path: Path) -> dict[str, Any]:
     if raw is None:
         return {}
     if not isinstance(raw, dict):
-        raise UsageError(f"{path}: a config is a mapping of fields, not {said(raw)}")
+        raise UsageError(f"{path}: a config is a mapping of fields, not {format_value(raw)}")
     return raw
 
 

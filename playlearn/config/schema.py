@@ -88,7 +88,7 @@ def build(cls: Any, raw: Any, path: tuple[str, ...]) -> Any:
         return _build_sequence(cls, raw, path)
     if origin in (dict, Mapping) or cls in (dict, Mapping):
         if not isinstance(raw, dict):
-            raise Problem(path, f"{_name(path)} must be a mapping, not {said(raw)}")
+            raise Problem(path, f"{_name(path)} must be a mapping, not {format_value(raw)}")
         item = arguments[1] if arguments else Any
         return {str(key): build(item, value, (*path, str(key))) for key, value in raw.items()}
     return _build_leaf(cls, raw, path)
@@ -96,7 +96,7 @@ def build(cls: Any, raw: Any, path: tuple[str, ...]) -> Any:
 
 def _build_dataclass(cls: Any, raw: Any, path: tuple[str, ...]) -> Any:
     if not isinstance(raw, dict):
-        raise Problem(path, f"{_name(path)} must be a block of fields, not {said(raw)}")
+        raise Problem(path, f"{_name(path)} must be a block of fields, not {format_value(raw)}")
     if _is_choice(cls):
         cls, raw = _pick(cls, raw, path)
     hints = typing.get_type_hints(cls)
@@ -145,7 +145,7 @@ def _build_union(arguments: tuple[Any, ...], raw: Any, path: tuple[str, ...]) ->
 def _build_sequence(cls: Any, raw: Any, path: tuple[str, ...]) -> Any:
     origin, arguments = get_origin(cls), get_args(cls)
     if not isinstance(raw, list | tuple):
-        raise Problem(path, f"{_name(path)} must be a list, not {said(raw)}")
+        raise Problem(path, f"{_name(path)} must be a list, not {format_value(raw)}")
     fixed = origin is tuple and Ellipsis not in arguments
     if fixed and len(raw) != len(arguments):
         raise Problem(path, f"{_name(path)} must have {len(arguments)} values, not {len(raw)}")
@@ -157,7 +157,7 @@ def _build_sequence(cls: Any, raw: Any, path: tuple[str, ...]) -> Any:
 def _build_leaf(cls: Any, raw: Any, path: tuple[str, ...]) -> Any:
     # draccus takes null, true or a list for a number or a text; a config that says so is a mistake.
     allowed = {int: (int,), float: (int, float), bool: (bool,), str: (str,), Path: (str, Path)}.get(cls)
-    wrong = Problem(path, f"{_name(path)} must be {_expected(cls)}, not {said(raw)}")
+    wrong = Problem(path, f"{_name(path)} must be {_expected(cls)}, not {format_value(raw)}")
     if allowed is not None and (not isinstance(raw, allowed) or (isinstance(raw, bool) and cls is not bool)):
         raise wrong
     try:
@@ -215,7 +215,7 @@ def _name(path: tuple[str, ...]) -> str:
     return f"`{'.'.join(path)}`" if path else "the config"
 
 
-def said(raw: Any) -> str:
+def format_value(raw: Any) -> str:
     return "null" if raw is None else f"a {type(raw).__name__}" if isinstance(raw, dict | list) else repr(raw)
 
 

@@ -1,4 +1,4 @@
-"""Corrective augmentation: moments of play with the hand put aside, labelled with the way back.
+"""Corrective augmentation: moments of play with the hand put aside, labeled with the way back.
 
     recorded   o_t --a_t--> o_{t+1} --a_{t+1}--> ...  o_{t+k}
                 |                                     ^
@@ -10,7 +10,7 @@ to a manipulator.
 """
 
 from playlearn.corrections.config import CorrectionsConfig
-from playlearn.corrections.make import make_corrections
-from playlearn.corrections.mix import Corrections
+from playlearn.corrections.dataset import Corrections
+from playlearn.corrections.generate import make_corrections
 
 __all__ = ["Corrections", "CorrectionsConfig", "make_corrections"]

@@ -10,13 +10,13 @@ from playlearn.errors import UsageError
 class CorrectionsConfig:
     """share: of the training examples, how many are corrected ones.
 
-    displacement, turn: metres and radians that the hand is put aside at most. per_episode: displaced moments of each
+    displacement, turn: meters and radians that the hand is put aside at most. per_episode: displaced moments of each
     episode, fewer where the hand is hardly ever free. steps: within how many the corrected labels lead back.
     seed: of the moments and displacements. folder: where they are kept, for several runs to share; null for the
     run's own.
     """
 
-    share: float = 0.2
+    fraction: float = 0.2
     displacement: float = 0.03
     turn: float = 0.2
     per_episode: int = 20
@@ -26,8 +26,8 @@ class CorrectionsConfig:
 
     def __post_init__(self) -> None:
         """Raises UsageError where a number is out of range."""
-        if not 0 < self.share <= 1:
-            raise UsageError(f"corrections.share must lie above 0 and at most at 1, got {self.share}")
+        if not 0 < self.fraction <= 1:
+            raise UsageError(f"corrections.fraction must lie above 0 and at most at 1, got {self.fraction}")
         for name in ("displacement", "turn"):
             if getattr(self, name) < 0:
                 raise UsageError(f"corrections.{name} must not be below 0, got {getattr(self, name)}")

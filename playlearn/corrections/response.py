@@ -15,7 +15,7 @@ _MOVES = ("dx", "dy", "dz", "droll", "dpitch", "dyaw")
 
 
 def hand_response(store: Store, episodes: Sequence[int]) -> Array:
-    """(2, 3, 3): metres of displacement, and radians of rotation, that an action of 1 adds up to in the end.
+    """(2, 3, 3): meters of displacement, and radians of rotation, that an action of 1 adds up to in the end.
 
     The sum over the lags of a linear fit of each step's motion on the actions before it; of that the nearest turn
     (the arm's base may stand turned) times the middle one of its three gains, because an axis that was moved only

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from playlearn.dagger.gate import Drift, Gate, GateConfig
+from playlearn.dagger.gate import Gate, GateConfig, GateSignal
 from playlearn.episode import Array, Decision, Goal, Observation
 from playlearn.rollout import Actor
 
-Spread = Callable[[int, Sequence[torch.Generator]], Array]
+StdOf = Callable[[int, Sequence[torch.Generator]], Array]
 
 
 @dataclass(frozen=True)
-class Sharing:
+class InterventionRule:
     """Who acts when.
 
     beta: probability that a stretch of `stretch` steps is the expert's. gate: when it takes over besides.
@@ -24,7 +24,7 @@ class Sharing:
     """
 
     beta: float
-    stretch: int
+    switch_every: int
     gate: GateConfig
     steps: tuple[int, int]
     plans: int = 1
@@ -39,28 +39,28 @@ class _Row:
     gate: Gate
     until: int
     drawn: bool = False
-    driven: bool = False
+    expert_acts: bool = False
 
-    def drives(self, step: int, drift: Drift, sharing: Sharing) -> bool:
+    def drives(self, step: int, signal: GateSignal, rule: InterventionRule) -> bool:
         """Whether the expert acts at this step."""
-        if step % sharing.stretch == 0:
-            self.drawn = bool(self.rng.random() < sharing.beta)
-        wanted = self.gate(drift) or self.drawn or step >= self.until
-        self.driven = wanted or (self.driven and step % sharing.plans != 0)
-        return self.driven
+        if step % rule.switch_every == 0:
+            self.drawn = bool(self.rng.random() < rule.beta)
+        wanted = self.gate(signal) or self.drawn or step >= self.until
+        self.expert_acts = wanted or (self.expert_acts and step % rule.plans != 0)
+        return self.expert_acts
 
 
-class Mixed:
+class DaggerActor:
     """An Actor that asks both of its own; everything it draws for an environment comes from that one's seed."""
 
     name = "dagger"
 
-    def __init__(self, policy: Actor, expert: Actor, sharing: Sharing, spread: Spread | None = None) -> None:
+    def __init__(self, policy: Actor, expert: Actor, rule: InterventionRule, std: StdOf | None = None) -> None:
         """spread: see `PolicyActor.spread`; for gates that ask how sure the policy is."""
-        self._policy, self._expert, self._sharing, self._spread = policy, expert, sharing, spread
+        self._policy, self._expert, self._sharing, self._std = policy, expert, rule, std
         self._rows: list[_Row] = []
         self._step = 0
-        self._spreads: Array = np.zeros(0)
+        self._stds: Array = np.zeros(0)
 
     @property
     def cameras(self) -> tuple[str, ...]:
@@ -69,24 +69,26 @@ class Mixed:
     def reset(self, goals: Sequence[Goal | None], seeds: Sequence[int]) -> None:
         self._policy.reset(goals, seeds)
         self._expert.reset(goals, seeds)
-        self._rows, self._step, self._spreads = [self._row(seed) for seed in seeds], 0, np.zeros(len(seeds))
+        self._rows, self._step, self._stds = [self._row(seed) for seed in seeds], 0, np.zeros(len(seeds))
 
     def act(self, observations: Sequence[Observation], active: Sequence[bool]) -> list[Decision]:
         chosen, labels = self._policy.act(observations, active), self._expert.act(observations, active)
         if self._sharing.gate.sampled and self._step % self._sharing.plans == 0:
-            self._spreads = self._measured()
+            self._stds = self._measured()
         decisions = []
-        for row, mine, its, spread in zip(self._rows, chosen, labels, self._spreads, strict=True):
+        for row, mine, its, std in zip(self._rows, chosen, labels, self._stds, strict=True):
             label = np.asarray(its.action, np.float32)
-            drift = Drift(float(np.abs(np.asarray(mine.action) - label).max()), float(spread))
-            driven = row.drives(self._step, drift, self._sharing)
-            decisions.append(Decision(label if driven else mine.action, label, its.skill, intervention=driven))
+            signal = GateSignal(float(np.abs(np.asarray(mine.action) - label).max()), float(std))
+            expert_acts = row.drives(self._step, signal, self._sharing)
+            decisions.append(
+                Decision(label if expert_acts else mine.action, label, its.skill, intervention=expert_acts)
+            )
         self._step += 1
         return decisions
 
     def unsure(self) -> bool:
         """Whether the policy's samples differed at all where they were last compared."""
-        return bool(self._spreads.any())
+        return bool(self._stds.any())
 
     def _row(self, seed: int) -> _Row:
         rng = np.random.default_rng((seed, 1))  # not the numbers that policy and expert have from this seed
@@ -95,6 +97,6 @@ class Mixed:
         return _Row(rng, sampling, self._sharing.gate.build(), until)
 
     def _measured(self) -> Array:
-        if self._spread is None:
+        if self._std is None:
             raise ValueError("a gate that asks how sure the policy is needs `spread`")
-        return self._spread(self._sharing.gate.sampled, [row.sampling for row in self._rows])
+        return self._std(self._sharing.gate.sampled, [row.sampling for row in self._rows])

@@ -7,39 +7,53 @@ from typing import Literal
 from playlearn.dagger.gate import GateConfig, NoGateConfig
 from playlearn.dagger.schedule import BetaConfig, ZeroConfig
 from playlearn.errors import UsageError
-from playlearn.relabel import GoalSamplerConfig
-from playlearn.relabel.ending import EndingConfig
+from playlearn.relabeling import GoalSamplerConfig
+from playlearn.relabeling.final_settled import FinalSettledConfig
 
 ADJUSTABLE = ("rounds",)  # what a run that goes on may change
 
 
 @dataclass(frozen=True)
 class DaggerConfig:
-    """Rounds of practice, training and evaluation.
+    """Rounds of rollouts, training and evaluation.
 
-    practice: suite that start states and goals are drawn from, under seeds that are no evaluation's. Not one whose
-        starts are held-out play: it would teach what is later judged. episodes: attempted each round.
-    suite: what each round is judged on (null: `practice`, under its own seed); judged: episodes of it; judged_seed:
-        instead of the suite's own. goal: how goals are shown. execute, guidance: how the policy acts, in practice and
-        judged (null: as its suite says).
-    encoder: a run whose image encoder a state policy looks through, in practice and judged. perceived_every: its
-        training goes on from states as that encoder perceives them, looking at play and practice every so many steps
-        (see PerceivedConfig); 0: from true states.
-    policy_steps: range in which it is drawn, for each episode, for how many steps the policy acts before the expert
-        brings the episode to its goal, for which it has finish_steps. settle: for how many steps everything must be
-        where the goal shows it for an episode to end; one that does not get there is counted and thrown away.
-    beta, stretch: in each round, the share of stretches of so many steps in which the expert acts. gate: when it takes
-        over besides.
-    goals: which moment of a practised episode becomes its goal. The labels answer to the goal that was commanded, and
-        that is where an episode ends, so it must be one of its end. stray: see DataConfig; of practised episodes.
-    share: of every batch, what all rounds gathered; the rest is the play that the run learned from, in its shares.
-    updates, lr, warmup: of each round's training, which goes on from the last round's weights.
-    control: `play` or `noise` instead of practice as many steps of the collector's play, plain or with `noise` on what
-        is executed, in each round as many as the DAgger run `like` gathered in it. collect: the config of that play
-        (null: as the run's own play was made).
+    rollout_suite: start states and goals of the rollouts, under seeds that are no evaluation's. Not a suite whose
+        starts are held-out play: training would see what is evaluated later.
+    suite: what each round is evaluated on (null: `rollout_suite`, under its own seed).
+    goal: how goals are shown.
+    encoder: a run whose image encoder a state policy looks through, in rollouts and evaluation.
+    perceived_every: with `encoder`, training continues on states as that encoder perceives them, looking at play and
+        rollouts every so many steps (see PerceivedConfig); 0: on true states.
+    rounds: how many.
+    episodes: rollouts attempted each round.
+    policy_steps: range from which each episode draws how many steps the policy acts before the expert takes over.
+    finish_steps: steps that the expert then has to reach the goal.
+    success_hold_steps: steps for which everything must be where the goal shows it before an episode ends; an episode
+        that never gets there is counted and discarded.
+    beta: in each round, the fraction of stretches in which the expert acts.
+    switch_every: steps of such a stretch.
+    gate: when else the expert takes over.
+    goals: which moment of a rollout becomes its goal. The labels answer to the commanded goal, which is where an
+        episode ends, so it must be one of its end.
+    max_label_deviation: of rollouts; see DataConfig.
+    fraction: of every batch, what all rounds gathered; the rest is the play that the run learned from.
+    updates: of each round's training, which continues from the last round's weights.
+    lr: of each round's training.
+    warmup: updates over which the learning rate rises.
+    eval_episodes: episodes of each evaluation (null: the suite's own).
+    eval_seed: of each evaluation (null: the suite's own).
+    n_action_steps: actions of a chunk that are executed before the next plan (null: as the suite says).
+    guidance: weight of the goal (null: as the suite says).
+    baseline: `play` or `noise` gathers, instead of rollouts, as many steps of the collector's play, plain or with
+        `noise` on what is executed.
+    match_steps_of: the DAgger run whose rounds a baseline matches in steps.
+    collect: the config of a baseline's play (null: as the run's own play was made).
+    noise: amplitude of the `noise` baseline.
+    seed: of starts, goals and training.
+    cpu: train on the CPU even where there is a GPU.
     """
 
-    practice: Path = Path("eval/suites/playtable_tasks.yaml")
+    rollout_suite: Path = Path("eval/suites/playtable_tasks.yaml")
     suite: Path | None = None
     goal: Literal["image", "state"] = "state"
     encoder: Path | None = None
@@ -48,22 +62,22 @@ class DaggerConfig:
     episodes: int = 102
     policy_steps: tuple[int, int] = (40, 160)
     finish_steps: int = 200
-    settle: int = 12
+    success_hold_steps: int = 12
     beta: BetaConfig = field(default_factory=ZeroConfig)
-    stretch: int = 8
+    switch_every: int = 8
     gate: GateConfig = field(default_factory=NoGateConfig)
-    goals: GoalSamplerConfig = field(default_factory=EndingConfig)
-    stray: float = 0.5
-    share: float = 0.5
+    goals: GoalSamplerConfig = field(default_factory=FinalSettledConfig)
+    max_label_deviation: float = 0.5
+    fraction: float = 0.5
     updates: int = 1500
     lr: float = 3e-4
     warmup: int = 100
-    judged: int | None = None
-    judged_seed: int | None = None
-    execute: int | None = None
+    eval_episodes: int | None = None
+    eval_seed: int | None = None
+    n_action_steps: int | None = None
     guidance: float | None = None
-    control: Literal["none", "play", "noise"] = "none"
-    like: Path | None = None
+    baseline: Literal["none", "play", "noise"] = "none"
+    match_steps_of: Path | None = None
     collect: Path | None = None
     noise: float = 0.5
     seed: int = 0
@@ -71,7 +85,16 @@ class DaggerConfig:
 
     def __post_init__(self) -> None:
         """Raises UsageError where a value is out of range."""
-        for name in ("rounds", "episodes", "finish_steps", "settle", "stretch", "updates", "lr", "stray"):
+        for name in (
+            "rounds",
+            "episodes",
+            "finish_steps",
+            "success_hold_steps",
+            "switch_every",
+            "updates",
+            "lr",
+            "max_label_deviation",
+        ):
             if getattr(self, name) <= 0:
                 raise UsageError(f"{name} must be above 0, got {getattr(self, name):g}")
         if self.perceived_every < 0:
@@ -79,10 +102,10 @@ class DaggerConfig:
         low, high = self.policy_steps
         if not 0 <= low <= high:
             raise UsageError(f"policy_steps is a range [low, high], got [{low}, {high}]")
-        if not 0 < self.share < 1:
-            raise UsageError(f"share must lie between 0 and 1, both left out, got {self.share:g}")
-        if (self.control != "none") != (self.like is not None):
+        if not 0 < self.fraction < 1:
+            raise UsageError(f"fraction must lie between 0 and 1, both left out, got {self.fraction:g}")
+        if (self.baseline != "none") != (self.match_steps_of is not None):
             raise UsageError(
-                "`control: play` and `control: noise` need `like: OUT`, the DAgger run whose steps they match, and "
-                "only they do"
+                "`baseline: play` and `baseline: noise` need `match_steps_of: OUT`, the DAgger run whose steps they "
+                "match, and only they do"
             )

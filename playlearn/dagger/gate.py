@@ -9,7 +9,7 @@ from playlearn.errors import UsageError
 
 
 @dataclass(frozen=True)
-class Drift:
+class GateSignal:
     """How it stands at one step of one environment.
 
     distance: largest difference, over the action's dimensions, between what the policy would do and what the expert
@@ -17,13 +17,13 @@ class Drift:
     """
 
     distance: float
-    spread: float = 0.0
+    std: float = 0.0
 
 
 class Gate(Protocol):
     """Of one environment; asked once a step, in order."""
 
-    def __call__(self, drift: Drift) -> bool:
+    def __call__(self, signal: GateSignal) -> bool:
         """Whether the expert acts now."""
         ...
 
@@ -52,53 +52,56 @@ class NoGateConfig(GateConfig):
 
 
 @dataclass(frozen=True)
-class LatchConfig(GateConfig):
+class HysteresisGateConfig(GateConfig):
     """What gates have in common.
 
     above: opens once its measure was above this for `steps` steps running. below: closes once it was at most this
     (null: `above`) for `agreeing` steps running, or after `most` steps open (null: only then).
     """
 
-    above: float = 0.5
+    open_above: float = 0.5
     steps: int = 4
-    below: float | None = None
-    agreeing: int = 8
-    most: int | None = None
+    close_below: float | None = None
+    close_after: int = 8
+    max_steps: int | None = None
 
     def __post_init__(self) -> None:
-        for name in ("above", "steps", "agreeing"):
+        for name in ("open_above", "steps", "close_after"):
             if getattr(self, name) <= 0:
                 raise UsageError(f"gate.{name} must be above 0, got {getattr(self, name):g}")
-        if self.below is not None and not 0 <= self.below <= self.above:
-            raise UsageError(f"gate.below must lie between 0 and gate.above ({self.above:g}), got {self.below:g}")
-        if self.most is not None and self.most < 1:
-            raise UsageError(f"gate.most must be 1 or more, or null, got {self.most}")
+        if self.close_below is not None and not 0 <= self.close_below <= self.open_above:
+            raise UsageError(
+                f"gate.close_below must lie between 0 and gate.open_above ({self.open_above:g}), "
+                f"got {self.close_below:g}"
+            )
+        if self.max_steps is not None and self.max_steps < 1:
+            raise UsageError(f"gate.max_steps must be 1 or more, or null, got {self.max_steps}")
 
-    def measure(self, drift: Drift) -> float:
+    def measure(self, signal: GateSignal) -> float:
         raise NotImplementedError
 
     def build(self) -> Gate:
-        return Latch(self)
+        return HysteresisGate(self)
 
 
-class Latch:
-    """See `LatchConfig`."""
+class HysteresisGate:
+    """See `HysteresisGateConfig`."""
 
-    def __init__(self, config: LatchConfig) -> None:
+    def __init__(self, config: HysteresisGateConfig) -> None:
         self._config = config
         self._open = False
         self._running = 0  # steps in a row that speak for the other state
         self._since = 0
 
-    def __call__(self, drift: Drift) -> bool:
-        config, value = self._config, self._config.measure(drift)
+    def __call__(self, signal: GateSignal) -> bool:
+        config, value = self._config, self._config.measure(signal)
         if self._open:
-            below = config.above if config.below is None else config.below
-            self._running = self._running + 1 if value <= below else 0
-            over = config.most is not None and self._since >= config.most
-            self._turn(over or self._running >= config.agreeing)
+            close_below = config.open_above if config.close_below is None else config.close_below
+            self._running = self._running + 1 if value <= close_below else 0
+            over = config.max_steps is not None and self._since >= config.max_steps
+            self._turn(over or self._running >= config.close_after)
         else:
-            self._running = self._running + 1 if value > config.above else 0
+            self._running = self._running + 1 if value > config.open_above else 0
             self._turn(self._running >= config.steps)
         self._since += 1
         return self._open
@@ -110,19 +113,19 @@ class Latch:
 
 @GateConfig.register_subclass("distance")
 @dataclass(frozen=True)
-class DistanceConfig(LatchConfig):
+class DistanceConfig(HysteresisGateConfig):
     """The policy's action is far from the expert's: what a person who watches sees (HG-DAgger, Kelly et al., 2019)."""
 
-    def measure(self, drift: Drift) -> float:
-        return drift.distance
+    def measure(self, signal: GateSignal) -> float:
+        return signal.distance
 
 
 @GateConfig.register_subclass("uncertainty")
 @dataclass(frozen=True)
-class UncertaintyConfig(LatchConfig):
+class UncertaintyConfig(HysteresisGateConfig):
     """The policy's own samples disagree: needs no expert to notice it. samples: chunks that are compared."""
 
-    above: float = 0.15
+    open_above: float = 0.15
     samples: int = 4
 
     def __post_init__(self) -> None:
@@ -134,5 +137,5 @@ class UncertaintyConfig(LatchConfig):
     def sampled(self) -> int:
         return self.samples
 
-    def measure(self, drift: Drift) -> float:
-        return drift.spread
+    def measure(self, signal: GateSignal) -> float:
+        return signal.std

@@ -20,23 +20,23 @@ from typing import Any
 
 import yaml
 
-from playlearn.collect import CollectConfig
-from playlearn.collect.world import world
+from playlearn.collection import CollectConfig
+from playlearn.collection.env import env
 from playlearn.config import atomic_write, git_revision, load_config, save_config, to_dict, versions
-from playlearn.dagger.actor import Sharing
+from playlearn.dagger.actor import InterventionRule
+from playlearn.dagger.baselines import play_on, player
 from playlearn.dagger.config import ADJUSTABLE, DaggerConfig
-from playlearn.dagger.control import play_on, player
-from playlearn.dagger.practise import Make, Practice, mixed, practise
-from playlearn.dagger.results import judged, line, plot, practised
+from playlearn.dagger.results import evaluated, gathered, line, plot
+from playlearn.dagger.rollouts import Make, RolloutSpec, collect_rollouts, dagger_actor
 from playlearn.data import DataConfig
+from playlearn.data.mixture import DatasetSource
 from playlearn.errors import PlaylearnError, UsageError
-from playlearn.evaluate import Trained, evaluate, load_suite, scripted
-from playlearn.evaluate.suite import derived_seed, goal_from
-from playlearn.mixed import Source
+from playlearn.evaluation import TrainedRecipe, evaluate, load_suite, scripted
+from playlearn.evaluation.suite import derived_seed, goal_from
 from playlearn.perceived import PerceivedConfig
 from playlearn.policies import Policy
 from playlearn.store import open_store
-from playlearn.train import TrainConfig, train
+from playlearn.training import TrainConfig, train
 
 CONFIG, NOTE, ROW = "dagger.yaml", "dagger.json", "round.json"
 _PRACTICE, _CONTROL, _TRAINING = 0xDA66E4, 0xC0472A1, 0x7E57ED  # so that no seed serves two ends
@@ -86,11 +86,11 @@ class _Job:
         if not path.is_file():
             raise UsageError(f"there is no run at {self.run} (no config.yaml); make one with: playlearn train")
         self.training = load_config(TrainConfig, path)
-        self.suite = load_suite(config.practice)
+        self.suite = load_suite(config.rollout_suite)
         self.suite = replace(self.suite, kind=self.suite.kind.prepare(None))
         self.seed = derived_seed(_PRACTICE, config.seed)
-        self.judging = load_suite(config.suite or config.practice)
-        self.judged_seed = self.judging.seed if config.judged_seed is None else config.judged_seed
+        self.judging = load_suite(config.suite or config.rollout_suite)
+        self.eval_seed = self.judging.seed if config.eval_seed is None else config.eval_seed
         self.matched = _frames(config)
 
     def check(self) -> None:
@@ -99,17 +99,17 @@ class _Job:
         Raises:
             PlaylearnError: policy, expert, play and suite do not belong together.
         """
-        if self.seed == self.judged_seed:
+        if self.seed == self.eval_seed:
             raise UsageError(
-                f"judged_seed {self.judged_seed} is the seed of this practice: what is judged would have been "
-                "practised; give another judged_seed"
+                f"eval_seed {self.eval_seed} is the seed of the rollouts: what is evaluated would have been "
+                "practiced; give another eval_seed"
             )
         open_store(self.training.store)
         policy = self.trained(self.run)
         policy.check()
-        environment = world(self.suite.environment)
-        actor = mixed(self.practice(1, self.run), environment)
-        policy.build(world(self.judging.environment))
+        environment = env(self.suite.environment)
+        actor = dagger_actor(self.rollout_spec(1, self.run), environment)
+        policy.build(env(self.judging.environment))
         self.expert(environment)  # where nobody can drive this world, that is said here
         if self.matched is not None:
             self.playing()
@@ -129,7 +129,7 @@ class _Job:
         folder = self.out / "rounds" / "0"
         if (folder / ROW).is_file():
             return _read(folder / ROW)
-        return self.done(folder, {"round": 0, **judged(self.evaluate(self.run, folder / "eval"))})
+        return self.done(folder, {"round": 0, **evaluated(self.evaluate(self.run, folder / "eval"))})
 
     def round(self, number: int, before: list[dict[str, Any]]) -> dict[str, Any]:
         """Row `number`; `before`: those of the rounds before it."""
@@ -142,13 +142,13 @@ class _Job:
         if not row["frames"]:
             raise PlaylearnError(
                 f"round {number}: the expert brought none of {row['attempted']} episodes to its goal "
-                f"({row['thrown_away']}); raise finish_steps, or practise on a suite that it can do"
+                f"({row['discarded']}); raise finish_steps, or practice on a suite that it can do"
             )
         gathered = {past["round"]: past["frames"] for past in [*before, row] if past["round"]}
         train(
             self.trained_on(number, gathered, last), folder / "train", resume=(folder / "train/config.yaml").is_file()
         )
-        row |= judged(self.evaluate(folder / "train", folder / "eval"))
+        row |= evaluated(self.evaluate(folder / "train", folder / "eval"))
         return self.done(folder, {**row, "seconds": round(time.perf_counter() - began, 1)})
 
     def gather(self, number: int, last: Path, folder: Path) -> dict[str, Any]:
@@ -157,24 +157,33 @@ class _Job:
         if self.matched is not None:
             seed = derived_seed(_CONTROL, config.seed, number)
             frames = play_on(self.playing(), self.matched[number - 1], seed, folder / "play", self.workers)
-            return {"attempted": 0, "kept": 0, "alone": 0, "frames": frames, "labels": 0, "driven": 0}
+            return {
+                "attempted": 0,
+                "kept": 0,
+                "solved_without_expert": 0,
+                "frames": frames,
+                "labels": 0,
+                "expert_steps": 0,
+            }
         numbers = range((number - 1) * config.episodes, number * config.episodes)
-        return practised(
-            practise(self.practice(number, last), numbers, folder, self.workers, f"round {number}, practice")
+        return gathered(
+            collect_rollouts(
+                self.rollout_spec(number, last), numbers, folder, self.workers, f"round {number}, rollouts"
+            )
         )
 
-    def practice(self, number: int, last: Path) -> Practice:
+    def rollout_spec(self, number: int, last: Path) -> RolloutSpec:
         """What the workers of a round are told."""
         config = self.config
-        sharing = Sharing(config.beta.at(number), config.stretch, config.gate, config.policy_steps)
-        return Practice(
+        sharing = InterventionRule(config.beta.at(number), config.switch_every, config.gate, config.policy_steps)
+        return RolloutSpec(
             self.suite,
             self.trained(last),
             self.expert,
             sharing,
             self.seed,
             config.finish_steps,
-            config.settle,
+            config.success_hold_steps,
             record=config.encoder is None,
         )
 
@@ -182,20 +191,20 @@ class _Job:
         """How a control plays."""
         return player(self.config, open_store(self.training.store), self.suite, self.trained(self.run).cameras())
 
-    def trained(self, run: Path) -> Trained:
-        """The policy of a run as it practises."""
+    def trained(self, run: Path) -> TrainedRecipe:
+        """The policy of a run as it practices."""
         config, suite = self.config, self.suite
-        execute = suite.execute if config.execute is None else config.execute
+        n_action_steps = suite.n_action_steps if config.n_action_steps is None else config.n_action_steps
         guidance = suite.guidance if config.guidance is None else config.guidance
-        return Trained(run, config.goal, execute, guidance, encoder=config.encoder)
+        return TrainedRecipe(run, config.goal, n_action_steps, guidance, encoder=config.encoder)
 
     def trained_on(self, number: int, gathered: Mapping[int, int], last: Path) -> TrainConfig:
         """The training of a round: the run's own, from the last policy on. gathered: round -> steps of its store."""
         config, own = self.config, self.training.resolved()
         total = sum(gathered.values())
-        kept = tuple(replace(source, share=(1 - config.share) * source.share) for source in own.more)
-        more = tuple(
-            Source(self.out / "rounds" / str(past) / "play", config.share * steps / total, self.cut(own.data))
+        kept = tuple(replace(source, fraction=(1 - config.fraction) * source.fraction) for source in own.extra_datasets)
+        extra_datasets = tuple(
+            DatasetSource(self.out / "rounds" / str(past) / "play", config.fraction * steps / total, self.cut(own.data))
             for past, steps in gathered.items()
         )
         corrections = own.corrections
@@ -212,14 +221,14 @@ class _Job:
             policy=Policy.load(self.run / "policy").config,
             corrections=corrections,
             perceived=perceived,
-            more=kept + more,
-            init=last,
-            learn=("*",),
+            extra_datasets=kept + extra_datasets,
+            init_from=last,
+            trainable=("*",),
             steps=config.updates,
             max_minutes=None,
             lr=config.lr,
             warmup=config.warmup,
-            heldout_every=config.updates,
+            val_every=config.updates,
             seed=derived_seed(_TRAINING, config.seed, number),
             cpu=config.cpu,
         )
@@ -227,30 +236,30 @@ class _Job:
     def cut(self, own: DataConfig) -> DataConfig:
         """How examples are cut from what was gathered: all of it, and practice as its labels ask."""
         if self.matched is not None:
-            return replace(own, heldout_share=0.0)
+            return replace(own, val_fraction=0.0)
         config = self.config
         return replace(
             own,
             goals=config.goals,
-            stray=config.stray,
-            heldout_share=0.0,
+            max_label_deviation=config.max_label_deviation,
+            val_fraction=0.0,
             balance=0.0,
-            failures=1.0,
+            failure_fraction=1.0,
             mask_after_goal=False,
         )
 
     def evaluate(self, run: Path, out: Path) -> dict[str, Any]:
         """Judge a policy: the same episodes for every round."""
         config = self.config
-        given = {"execute": config.execute, "guidance": config.guidance}
+        given = {"n_action_steps": config.n_action_steps, "guidance": config.guidance}
         return evaluate(
-            config.suite or config.practice,
+            config.suite or config.rollout_suite,
             run=run,
             encoder=config.encoder,
             goal=config.goal,
             out=out,
-            episodes=config.judged,
-            seed=self.judged_seed,
+            episodes=config.eval_episodes,
+            seed=self.eval_seed,
             workers=self.workers,
             references=False,
             overrides=[f"--{name}={value}" for name, value in given.items() if value is not None],
@@ -272,8 +281,8 @@ class _Job:
         results = {
             "rounds": rows,
             "start": str(self.run),
-            "judged_seed": self.judged_seed,
-            "practice_seed": self.seed,
+            "eval_seed": self.eval_seed,
+            "rollout_seed": self.seed,
             "config": to_dict(self.config),
             "versions": versions(),
             "git_revision": git_revision(),
@@ -285,14 +294,16 @@ class _Job:
 
 def _frames(config: DaggerConfig) -> list[int] | None:
     """How many steps a control adds in each round, None where this is none."""
-    if config.like is None:
+    if config.match_steps_of is None:
         return None
-    path = config.like / "results.json"
+    path = config.match_steps_of / "results.json"
     if not path.is_file():
-        raise UsageError(f"like: there is no DAgger run at {config.like} (no results.json)")
+        raise UsageError(f"match_steps_of: there is no DAgger run at {config.match_steps_of} (no results.json)")
     frames = [int(row["frames"]) for row in _read(path)["rounds"] if row["round"]]
     if len(frames) < config.rounds:
-        raise UsageError(f"like: {config.like} has {len(frames)} rounds, this control is to have {config.rounds}")
+        raise UsageError(
+            f"match_steps_of: {config.match_steps_of} has {len(frames)} rounds, this control is to have {config.rounds}"
+        )
     return frames
 
 

@@ -4,19 +4,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from playlearn.dagger.practise import Tried
-from playlearn.report.compared import AMBER, BLUE, GREY
+from playlearn.dagger.rollouts import RolloutRecord
+from playlearn.report.compared import AMBER, BLUE, GRAY
 
 Row = Mapping[str, Any]
 _JUDGED = ("success_rate", "ci95", "strict_rate", "strict_ci95", "episodes", "crashed")
 
 
-def judged(results: Mapping[str, Any]) -> dict[str, Any]:
+def evaluated(results: Mapping[str, Any]) -> dict[str, Any]:
     """What a row says of an evaluation."""
     return {name: results[name] for name in _JUDGED}
 
 
-def practised(tried: Sequence[Tried]) -> dict[str, Any]:
+def gathered(tried: Sequence[RolloutRecord]) -> dict[str, Any]:
     """What a row says of a round's practice.
 
     frames: steps kept to learn from. labels: states that the expert was asked about, those thrown away too; driven:
@@ -26,11 +26,11 @@ def practised(tried: Sequence[Tried]) -> dict[str, Any]:
     return {
         "attempted": len(tried),
         "kept": len(kept),
-        "alone": sum(row.alone for row in tried),
+        "solved_without_expert": sum(row.solved_without_expert for row in tried),
         "frames": sum(row.labels for row in kept),
         "labels": sum(row.labels for row in tried),
-        "driven": sum(row.driven for row in tried),
-        "thrown_away": _count(row.ended for row in tried if not row.kept),
+        "expert_steps": sum(row.expert_steps for row in tried),
+        "discarded": _count(row.ended for row in tried if not row.kept),
     }
 
 
@@ -40,7 +40,7 @@ def line(row: Row) -> str:
     reached = f"round {row['round']}: {row['success_rate']:.1%} [{low:.1%}, {high:.1%}] of {row['episodes']} reached"
     if not row["round"]:
         return reached + " by the policy it starts from"
-    return reached + f"; {row['frames']} steps added, {row['labels']} labels asked, {row['driven']} steps driven"
+    return reached + f"; {row['frames']} steps added, {row['labels']} labels asked, {row['expert_steps']} steps driven"
 
 
 def plot(rows: Sequence[Row], path: Path) -> None:
@@ -57,9 +57,9 @@ def plot(rows: Sequence[Row], path: Path) -> None:
     reached.errorbar(rounds, rates, yerr=(below, above), color=BLUE, marker="o", capsize=3)
     reached.set(ylim=(0, 100), xlabel="round (0: the policy it starts from)", ylabel="goals reached, % (95 % interval)")
     named = (
-        ("labels", "labels asked of the expert", GREY),
+        ("labels", "labels asked of the expert", GRAY),
         ("frames", "steps added", BLUE),
-        ("driven", "steps it drove", AMBER),
+        ("expert_steps", "steps it drove", AMBER),
     )
     for name, words, color in named:
         totals = [sum(row.get(name, 0) for row in rows[: k + 1]) for k in range(len(rows))]

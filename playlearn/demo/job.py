@@ -3,7 +3,7 @@
 OUT/play/                   the play
 OUT/preview/report.html     what a shipped policy does, to be looked at meanwhile
 OUT/state/, OUT/encoder/    the state policy and the image encoder, trained side by side
-OUT/practice/               a DAgger run of the state policy behind the encoder
+OUT/dagger/                 a DAgger run of the state policy behind the encoder
 OUT/run/                    the two as one policy, a run like any other
 OUT/eval/                   its evaluation on goal images
 OUT/demo.json               what each stage cost, written when it is done: a stage that stands there is not done again
@@ -24,15 +24,15 @@ from playlearn.demo.config import Cost, DemoConfig
 from playlearn.demo.reference import Reference, measure
 from playlearn.demo.verdict import judge_success, judge_training
 from playlearn.errors import PlaylearnError, UsageError
-from playlearn.evaluate import join_runs
+from playlearn.evaluation import join_runs
 from playlearn.executor import available_cores
-from playlearn.train import TrainConfig
+from playlearn.training import TrainConfig
 
 RECORD = "demo.json"
 STOPPED = (130, -15)  # exit codes of who was asked to end
 OPTIONAL = ("film",)  # only to be looked at
 EVERY = 60.0  # seconds between two estimates of the time left
-STAGES = ("collect play", "learn", "practice", "reach goal images")
+STAGES = ("collect play", "learn", "DAgger", "reach goal images")
 
 
 def demo(config: DemoConfig, out: Path, *, steps: int | None = None, say: Callable[[str], None] | None = None) -> None:
@@ -50,7 +50,7 @@ def demo(config: DemoConfig, out: Path, *, steps: int | None = None, say: Callab
     job.estimate()
     job.collect()
     job.learn()
-    job.practice()
+    job.dagger()
     job.evaluate()
 
 
@@ -115,7 +115,14 @@ class _Demo:
             "--episodes",
             "2",
         ]
-        shown += ["--alone", "--workers", "1", "--out", str(page.parent), f"--kind.tasks=[{config.preview_task}]"]
+        shown += [
+            "--no-baselines",
+            "--workers",
+            "1",
+            "--out",
+            str(page.parent),
+            f"--kind.tasks=[{config.preview_task}]",
+        ]
         told = page.is_file()
 
         def watch() -> None:
@@ -150,9 +157,9 @@ class _Demo:
             if trouble:
                 raise PlaylearnError(f"the demo ends here: {trouble}")
 
-    def practice(self) -> None:
+    def dagger(self) -> None:
         """DAgger behind the encoder; then the two become one run."""
-        folder = self.out / "practice"
+        folder = self.out / "dagger"
         command = [
             "dagger",
             "--config",
@@ -165,7 +172,7 @@ class _Demo:
         command += [f"--encoder={self.out / 'encoder'}", f"--seed={self.config.seed}"]
         command += ["--resume"] if (folder / "dagger.yaml").is_file() else []
         command += [] if self.steps is None else [f"--updates={self.steps}"]
-        self._stage("practice", {"practice": command})
+        self._stage("DAgger", {"dagger": command})
         join_runs(folder, self.out / "encoder", self.out / "run")
 
     def evaluate(self) -> None:

@@ -11,10 +11,10 @@ import numpy as np
 import torch
 from torch import nn
 
+from playlearn.envs import PlayTableConfig
+from playlearn.oracles import PlayConfig
 from playlearn.policies.encoders.cameras import channels_last
 from playlearn.rollout import rollout
-from playlearn.tasks import PlayTableConfig
-from playlearn.teleop import PlayConfig
 
 STEPS, UPDATES = 200, 40
 

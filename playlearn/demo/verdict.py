@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 
-def heldout_losses(run: Path, part: str) -> list[tuple[int, float]]:
+def val_losses(run: Path, part: str) -> list[tuple[int, float]]:
     """(update, that part of the held-out loss) of a run, as its metrics.jsonl tells."""
     rows = [json.loads(line) for line in (run / "metrics.jsonl").read_text(encoding="utf-8").splitlines()]
-    return [(int(row["step"]), float(row[f"heldout/{part}"])) for row in rows if f"heldout/{part}" in row]
+    return [(int(row["step"]), float(row[f"val/{part}"])) for row in rows if f"val/{part}" in row]
 
 
 def judge_training(what: str, run: Path, part: str, level: float, planned: int) -> str | None:
@@ -17,7 +17,7 @@ def judge_training(what: str, run: Path, part: str, level: float, planned: int) 
 
     part: of the loss, `head` of a policy, `achieved` of an image encoder. level: see `DemoConfig.state_loss`.
     """
-    losses = heldout_losses(run, part)
+    losses = val_losses(run, part)
     if not losses:
         return f"{what}: nothing was held out, so that nobody can say what it learned"
     updates, last = losses[-1]

@@ -17,7 +17,7 @@ from playlearn.episode import IMAGES
 from playlearn.errors import UsageError
 from playlearn.policies import PolicyConfig, PolicySpec
 from playlearn.policies.policy import spec_from_dict
-from playlearn.train import TrainConfig
+from playlearn.training import TrainConfig
 
 STATE, ACHIEVED, GOAL = "observation.state", "observation.environment_state", "observation.goal.state"
 GOAL_IMAGES = IMAGES + "goal_"
@@ -40,7 +40,7 @@ class PlaylearnConfig(PreTrainedConfig):  # type: ignore[misc]
     seed: int = 0
     optimizer_lr: float = 5e-4
     optimizer_weight_decay: float = 1e-3
-    # The policy normalises by itself, with statistics that stand among its weights.
+    # The policy normalizes by itself, with statistics that stand among its weights.
     normalization_mapping: dict[str, NormalizationMode] = field(
         default_factory=lambda: dict.fromkeys(("VISUAL", "STATE", "ENV", "ACTION"), NormalizationMode.IDENTITY)
     )

@@ -18,13 +18,13 @@ from lerobot.envs.utils import FreezeAfterEpisodeEnd
 
 from playlearn.episode import IMAGES, Array
 from playlearn.errors import PlaylearnError, UsageError
-from playlearn.evaluate.contenders import scripted
-from playlearn.evaluate.suite import Setup, SuiteConfig, load_suite
+from playlearn.evaluation.actor_recipes import scripted
+from playlearn.evaluation.suite import EvalEpisode, SuiteConfig, load_suite
 from playlearn.report.pictures import beside
 from playlearn.rollout import Actor
 from playlearn.sim.environment import Environment
 
-LIMIT = np.float32(1e3)  # of any number seen: metres, radians, shares
+LIMIT = np.float32(1e3)  # of any number seen: meters, radians, shares
 
 
 @EnvConfig.register_subclass("playlearn")
@@ -47,7 +47,7 @@ class PlaylearnEnvConfig(EnvConfig):  # type: ignore[misc]
         if not self.suite:
             raise UsageError("--env.suite names no suite: give one of eval/suites/*.yaml")
         env = self.make()
-        self.fps = round(env.world.spec.fps)
+        self.fps = round(env.env.spec.fps)
         self.features = {"action": PolicyFeature(FeatureType.ACTION, env.action_space.shape or ())}
         self.features_map = {"action": "action"}
         numbers = {"agent_pos": "observation.state", "environment_state": "observation.environment_state"}
@@ -95,14 +95,14 @@ class GoalEnv(gym.Env[dict[str, Any], Array]):
     ) -> None:
         """max_steps: instead of the suite's. expert: makes who shows the goals (see `SuiteKind.setup`)."""
         self.suite, self.render_mode = suite, render_mode
-        self.world = suite.environment.build()
-        self._expert = expert(self.world)
+        self.env = suite.environment.build()
+        self._expert = expert(self.env)
         self._kind = suite.kind.prepare(None)
         self._limit = max_steps
         self._max_episode_steps = max_steps or suite.max_steps
-        self.metadata = {**self.metadata, "render_fps": round(self.world.spec.fps)}
-        self.world.reset(0)
-        seen = self.world.observe(self.world.spec.cameras)
+        self.metadata = {**self.metadata, "render_fps": round(self.env.spec.fps)}
+        self.env.reset(0)
+        seen = self.env.observe(self.env.spec.cameras)
         shown = {name: image for camera, image in seen.images.items() for name in (camera, f"goal_{camera}")}
         numbers = {
             "agent_pos": len(seen.state),
@@ -118,9 +118,9 @@ class GoalEnv(gym.Env[dict[str, Any], Array]):
             }
             boxes["pixels"] = spaces.Dict(pictures)
         self.observation_space = self.seen = spaces.Dict(boxes)
-        self.action_space = spaces.Box(-1.0, 1.0, (len(self.world.spec.action_names),), np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, (len(self.env.spec.action_names),), np.float32)
         self._next = 0
-        self._setup: Setup | None = None
+        self._setup: EvalEpisode | None = None
         self._steps, self._content = 0, 0
 
     @property
@@ -137,9 +137,9 @@ class GoalEnv(gym.Env[dict[str, Any], Array]):
         super().reset(seed=seed)
         number = self._next if seed is None else seed
         self._next = number + 1
-        suite, cameras = self.suite, self.world.spec.cameras
-        self._setup = self._kind.setup(self.world, self._expert, number, suite.seed, suite.max_steps, cameras)
-        self.world.set_state(self._setup.start)
+        suite, cameras = self.suite, self.env.spec.cameras
+        self._setup = self._kind.setup(self.env, self._expert, number, suite.seed, suite.max_steps, cameras)
+        self.env.set_state(self._setup.start)
         self._max_episode_steps = self._limit or self._setup.max_steps or suite.max_steps
         self._steps, self._content = 0, 0
         return self._observation(), {"is_success": False, "task": self._setup.task}
@@ -151,32 +151,32 @@ class GoalEnv(gym.Env[dict[str, Any], Array]):
             raise UsageError("reset the environment before its first step")
         over = False
         try:
-            self.world.step(np.clip(np.asarray(action, np.float32), -1, 1))
+            self.env.step(np.clip(np.asarray(action, np.float32), -1, 1))
         except PlaylearnError:  # physics broke, or the action is no number
             over = True
         self._steps += 1
-        achieved = self.world.observe().achieved
-        content = self._kind.judge(self.world, setup.task)(setup.start_achieved, achieved, setup.goal.achieved)
+        achieved = self.env.observe().achieved
+        content = self._kind.judge(self.env, setup.task)(setup.start_achieved, achieved, setup.goal.achieved)
         self._content = self._content + 1 if content and not over else 0
-        success = self._content >= self.suite.hold
-        over |= success or self.world.failure() is not None
+        success = self._content >= self.suite.success_hold_steps
+        over |= success or self.env.failure() is not None
         late = not over and self._steps >= self._max_episode_steps
         return self._observation(), float(success), over, late, {"is_success": success, "task": setup.task}
 
     def render(self) -> Array:
         """(h, w, 3) uint8: the world, and its goal beside it."""
         camera = self.suite.camera
-        now = self.world.render(camera)
+        now = self.env.render(camera)
         shown = None if self._setup is None else self._setup.goal.images.get(camera)
         return now if shown is None else beside(now, shown)
 
     def close(self) -> None:
-        self.world.close()
+        self.env.close()
 
     def _observation(self) -> dict[str, Any]:
         assert self._setup is not None  # noqa: S101 - only called after reset
-        goal, cameras = self._setup.goal, self.world.spec.cameras
-        seen = self.world.observe(cameras)
+        goal, cameras = self._setup.goal, self.env.spec.cameras
+        seen = self.env.observe(cameras)
         told: dict[str, Any] = {
             "agent_pos": np.array(seen.state, np.float32),
             "environment_state": np.concatenate([seen.achieved, goal.achieved]).astype(np.float32),

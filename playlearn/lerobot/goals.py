@@ -1,4 +1,4 @@
-"""Play relabelled for policies that know nothing of goals: each window of it an episode that carries its goal.
+"""Play relabeled for policies that know nothing of goals: each window of it an episode that carries its goal.
 
     an episode of play   0 ---------- 61 -------------- 140 ---- ... T
     its windows          [0, 61) goal 61   [61, 140) goal 140    [140, ...
@@ -20,7 +20,14 @@ import numpy as np
 
 from playlearn.episode import IMAGES, STORED, Array
 from playlearn.errors import StoreError, UsageError
-from playlearn.relabel import UNIFORMS, GoalSamplerConfig, SettledConfig, SettlingConfig, Table, counter_uniforms
+from playlearn.relabeling import (
+    UNIFORMS,
+    GoalSamplerConfig,
+    RelabelIndex,
+    SettledConfig,
+    SettlingConfig,
+    counter_uniforms,
+)
 from playlearn.store import Store
 from playlearn.store.lerobot.content import (
     ACHIEVED,
@@ -66,7 +73,7 @@ class Window:
 
 @dataclass
 class Windows:
-    """A store relabelled: one entry a window (see `content.Content`). annotated: with skills as subtasks.
+    """A store relabeled: one entry a window (see `content.Content`). annotated: with skills as subtasks.
 
     The task of a window is its episode's, or the skill that brings the goal about, in words.
     """
@@ -94,7 +101,7 @@ class Windows:
     def windows(self) -> tuple[Window, ...]:
         """Raises StoreError where no step has a later goal, UsageError where a drawn goal is no later moment."""
         config = self.config
-        table = Table.of_store(self.store, config.settling, config.goal_names)
+        table = RelabelIndex.of_store(self.store, config.settling, config.goal_names)
         sampler = config.goals.build()
         found = []
         for episode in range(len(self.store)):

@@ -65,19 +65,19 @@ class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
         inputs = self._inputs(batch)
         action = batch["action"]
         padded = batch.get("action_is_pad", torch.zeros(action.shape[:2], dtype=torch.bool))
-        labelled = Batch(
+        labeled = Batch(
             state=inputs.state,
             achieved=inputs.achieved,
             images=inputs.images,
             history_mask=inputs.history_mask,
             goal_achieved=inputs.goal_achieved,
-            goal_state=inputs.goal_state,
+            goal_proprio=inputs.goal_proprio,
             goal_images=inputs.goal_images,
             action=action.float(),
             action_mask=~padded.to(action.device),
             steps_to_goal=torch.zeros(len(action), dtype=torch.int64),
         )
-        loss, metrics = self.policy(labelled, self._generator) if self.training else self._judged(labelled)
+        loss, metrics = self.policy(labeled, self._generator) if self.training else self._judged(labeled)
         self.policy.head.updates += int(self.training)
         return loss, {name: float(value) for name, value in metrics.items()}
 
@@ -114,7 +114,7 @@ class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
             achieved=both[..., :told],
             history_mask=torch.ones(state.shape[:2], dtype=torch.bool) if padded is None else ~padded,
             goal_achieved=goal,
-            goal_state=state[:, -1],
+            goal_proprio=state[:, -1],
             images={c: _over_time(_bytes(batch[IMAGES + c]), 3) for c in encoder.observation_cameras},
             goal_images={c: _over_time(_bytes(batch[GOAL_IMAGES + c]), 3)[:, -1] for c in encoder.goal_cameras},
         )
@@ -146,7 +146,7 @@ def _fresh(config: PlaylearnConfig, stats: Mapping[str, Any] | None, meta: Any) 
     }
     spread.setdefault("achieved", _Spread(np.zeros(0, np.float32), np.ones(0, np.float32)))
     policy = config.policy().build(spec, spread, config.seed)
-    policy.fit(torch.from_numpy(_labels(meta)))
+    policy.fit_action_statistics(torch.from_numpy(_labels(meta)))
     return policy
 
 

@@ -8,6 +8,6 @@ from playlearn.lerobot.configuration_playlearn import PlaylearnConfig
 
 
 def make_playlearn_pre_post_processors(config: PlaylearnConfig, dataset_stats: Any = None) -> tuple[Any, Any]:
-    """LeRobot's default pipelines; the policy normalises by itself."""
+    """LeRobot's default pipelines; the policy normalizes by itself."""
     made: tuple[Any, Any] = make_default_pre_post_processors(config, dataset_stats)
     return made

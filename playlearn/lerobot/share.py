@@ -30,7 +30,7 @@ def share(content: Content, out: Path, videos: Codec | None, progress: Said | No
 
 
 def contents(store: Store, goals: RelabelConfig | None = None, *, subtasks: bool = False) -> Content:
-    """What is to be written of a store. goals: relabelled. subtasks: skills as LeRobot's subtask annotation."""
+    """What is to be written of a store. goals: relabeled. subtasks: skills as LeRobot's subtask annotation."""
     return Play(store, subtasks) if goals is None else Windows(store, goals, subtasks)
 
 

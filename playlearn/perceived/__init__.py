@@ -7,7 +7,7 @@ over to the moments around them and added to what was recorded; the labels stay 
 """
 
 from playlearn.perceived.config import PerceivedConfig
-from playlearn.perceived.make import make_perceived
+from playlearn.perceived.generate import make_perceived
 from playlearn.perceived.vary import Perceived
 
 __all__ = ["Perceived", "PerceivedConfig", "make_perceived"]

@@ -4,7 +4,7 @@ from playlearn.policies.encoders import EncoderConfig
 from playlearn.policies.execution import PolicyActor
 from playlearn.policies.heads import HeadConfig
 from playlearn.policies.inputs import Inputs, PolicySpec
-from playlearn.policies.normalise import Statistics
+from playlearn.policies.normalize import Statistics
 from playlearn.policies.policy import Policy, PolicyConfig
 from playlearn.policies.trunks import TrunkConfig
 

@@ -29,19 +29,19 @@ class _Row:
     plans: list[tuple[int, Array]] = field(default_factory=list)
     moment: int = -1
     planned: int = 0
-    luck: Tensor | None = None
+    rng_state: Tensor | None = None
     running: bool = True
 
-    def due(self, execute: int) -> bool:
+    def due(self, n_action_steps: int) -> bool:
         """Whether the next step, number `moment + 1`, is to be planned for."""
-        return self.running and (not self.plans or self.moment + 1 - self.plans[-1][0] >= execute)
+        return self.running and (not self.plans or self.moment + 1 - self.plans[-1][0] >= n_action_steps)
 
-    def ready(self, keep: int) -> torch.Generator:
+    def ready(self, noise_repeat: int) -> torch.Generator:
         """The generator for the next plan: as it was before the last one, where that one's luck is to be kept."""
-        if self.luck is None or self.planned % keep == 0:
-            self.luck = self.generator.get_state()
+        if self.rng_state is None or self.planned % noise_repeat == 0:
+            self.rng_state = self.generator.get_state()
         else:
-            self.generator.set_state(self.luck)
+            self.generator.set_state(self.rng_state)
         self.planned += 1
         return self.generator
 
@@ -49,10 +49,10 @@ class _Row:
 class PolicyActor:
     """Acts in K environments with one policy (a rollout's Actor).
 
-    execute: actions of a chunk that are carried out before the next plan (receding horizon).
+    n_action_steps: actions of a chunk that are carried out before the next plan (receding horizon).
     guidance: weight of the goal, see `Policy.act`. ensemble: None, or the rate m of temporal
     ensembling: a plan at every step, and all plans for a moment averaged with weight exp(-m i), i = 0
-    for the oldest (Zhao et al. 2023); `execute` is then 1. goal: what of a goal it is shown, where it can
+    for the oldest (Zhao et al. 2023); `n_action_steps` is then 1. goal: what of a goal it is shown, where it can
     read either (None: the policy's first choice).
 
     What one environment gets does not depend on the others: each has a generator of its own, and a
@@ -62,18 +62,20 @@ class PolicyActor:
     def __init__(
         self,
         policy: Policy,
-        execute: int = 4,
+        n_action_steps: int = 4,
         guidance: float | None = None,
         ensemble: float | None = None,
         name: str = "policy",
         goal: str | None = None,
     ) -> None:
         chunk = policy.config.chunk
-        if not 1 <= execute <= chunk:
-            raise UsageError(f"execute must be between 1 and the policy's chunk of {chunk}, got {execute}")
+        if not 1 <= n_action_steps <= chunk:
+            raise UsageError(
+                f"n_action_steps must be between 1 and the policy's chunk of {chunk}, got {n_action_steps}"
+            )
         self.name = name
         self.policy = policy.eval()
-        self.execute = execute if ensemble is None else 1
+        self.n_action_steps = n_action_steps if ensemble is None else 1
         self.guidance, self.ensemble = guidance, ensemble
         encoder = policy.config.encoder
         self.reads = encoder.goals[0] if goal is None else goal
@@ -85,7 +87,7 @@ class PolicyActor:
     @property
     def cameras(self) -> tuple[str, ...]:
         """None while it only carries out what it has planned, unless it remembers what it saw."""
-        looks = self._remembers or not self._rows or any(row.due(self.execute) for row in self._rows)
+        looks = self._remembers or not self._rows or any(row.due(self.n_action_steps) for row in self._rows)
         return self.policy.cameras if looks else ()
 
     @property
@@ -104,7 +106,7 @@ class PolicyActor:
                     raise UsageError(f"{self.name} reads its goal from a {camera!r} image, and there is none")
             if goal is None:
                 raise UsageError(f"{self.name} needs a goal")
-            if goal.state is None and self.policy.config.encoder.goal_body:
+            if goal.state is None and self.policy.config.encoder.uses_goal_proprio:
                 raise UsageError(f"{self.name} was taught goals that say where the arm is, and this one does not")
         steps = self.policy.config.history
         self._rows = [
@@ -125,7 +127,7 @@ class PolicyActor:
             row.running = running
             if not running and row.history:
                 continue
-            plans = row.due(self.execute)
+            plans = row.due(self.n_action_steps)
             row.moment += 1
             if plans:
                 due.append(row)
@@ -135,7 +137,7 @@ class PolicyActor:
             self._plan(due)
         return [Decision(action=self._action(row)) for row in self._rows]
 
-    def spread(self, samples: int, generators: Sequence[torch.Generator]) -> Array:
+    def std(self, samples: int, generators: Sequence[torch.Generator]) -> Array:
         """(K,) how far chunks sampled for what was last seen lie apart: how little the policy knows what to do.
 
         The standard deviation over `samples` of them, the mean over what would be executed; 0 for a head that is
@@ -143,14 +145,14 @@ class PolicyActor:
         """
         inputs = self._inputs()
         chunks = np.stack([self.policy.act(inputs, generators, self.guidance).numpy() for _ in range(samples)])
-        spread: Array = chunks[:, :, : self.execute].std(axis=0).mean(axis=(1, 2))  # (K,)
-        return spread
+        std: Array = chunks[:, :, : self.n_action_steps].std(axis=0).mean(axis=(1, 2))  # (K,)
+        return std
 
     def _plan(self, due: list[_Row]) -> None:
         # a row that is not due must not draw noise from its own generator
         spare = torch.Generator()
-        keep = self.policy.head.keep
-        generators = [row.ready(keep) if row in due else spare for row in self._rows]
+        noise_repeat = self.policy.head.noise_repeat
+        generators = [row.ready(noise_repeat) if row in due else spare for row in self._rows]
         chunks = self.policy.act(self._inputs(), generators, self.guidance).numpy()
         for row, chunk in zip(self._rows, chunks, strict=True):
             if row in due:
@@ -169,12 +171,12 @@ class PolicyActor:
         mean: Array = (weights[:, None] * candidates).sum(0) / weights.sum()
         return mean.astype(np.float32)
 
-    def believed(self, observations: Sequence[Observation], active: Sequence[bool]) -> Array:
+    def estimate_achieved(self, observations: Sequence[Observation], active: Sequence[bool]) -> Array:
         """(K, G) what is achieved in each environment, see `Policy.believed`; of inactive ones it means nothing."""
         rows = zip(self._rows, observations, active, strict=True)
         seen = [[now] if running or not row.history else [row.history[-1]] for row, now, running in rows]
-        believed: Array = self.policy.believed(self._inputs(seen)).numpy()
-        return believed
+        estimate_achieved: Array = self.policy.estimate_achieved(self._inputs(seen)).numpy()
+        return estimate_achieved
 
     def _inputs(self, histories: Sequence[Sequence[Observation]] | None = None) -> Inputs:
         """histories: of each environment, newest last (None: what was seen since the reset)."""
@@ -193,7 +195,7 @@ class PolicyActor:
             achieved=stack([o.achieved for o in moments]),
             history_mask=torch.tensor([[False] * (steps - len(history)) + [True] * len(history) for history in seen]),
             goal_achieved=torch.from_numpy(np.stack([goal.achieved for goal in goals])),
-            goal_state=torch.from_numpy(
+            goal_proprio=torch.from_numpy(
                 np.stack([o[-1].state if g.state is None else g.state for o, g in zip(padded, goals, strict=True)])
             ),
             images={c: stack([o.images[c] for o in moments]) for c in encoder.observation_cameras},

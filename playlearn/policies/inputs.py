@@ -25,12 +25,12 @@ class Observed(Protocol):
     @property
     def goal_achieved(self) -> Tensor: ...
     @property
-    def goal_state(self) -> Tensor: ...
+    def goal_proprio(self) -> Tensor: ...
     @property
     def goal_images(self) -> Mapping[str, Tensor]: ...
 
 
-class Labelled(Observed, Protocol):
+class Labeled(Observed, Protocol):
     """The same with what a learner copies: action (B, H, A) in [-1, 1], action_mask (B, H) bool, True if it counts.
 
     keypoints, goal_keypoints: see `Inputs`.
@@ -63,7 +63,7 @@ class Inputs:
     achieved: Tensor
     history_mask: Tensor
     goal_achieved: Tensor
-    goal_state: Tensor
+    goal_proprio: Tensor
     images: Mapping[str, Tensor] = field(default_factory=dict)
     goal_images: Mapping[str, Tensor] = field(default_factory=dict)
     keypoints: Mapping[str, Tensor] = field(default_factory=dict)
@@ -75,7 +75,7 @@ class Inputs:
             achieved=self.achieved.to(device),
             history_mask=self.history_mask.to(device),
             goal_achieved=self.goal_achieved.to(device),
-            goal_state=self.goal_state.to(device),
+            goal_proprio=self.goal_proprio.to(device),
             images={camera: frames.to(device) for camera, frames in self.images.items()},
             goal_images={camera: frames.to(device) for camera, frames in self.goal_images.items()},
             keypoints={camera: points.to(device) for camera, points in self.keypoints.items()},
@@ -110,7 +110,7 @@ class PolicySpec:
     fps: float
     cameras: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     controller: Mapping[str, Any] = field(default_factory=dict)
-    predicts: Literal["actions", "change"] = "actions"
+    predicts: Literal["actions", "next_settled_delta"] = "actions"
     bounded: bool = True
 
     @property

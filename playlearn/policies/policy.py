@@ -1,4 +1,4 @@
-"""A goal-conditioned policy: encoder, trunk and head over a normaliser."""
+"""A goal-conditioned policy: encoder, trunk and head over a normalizer."""
 
 import fnmatch
 import json
@@ -16,14 +16,14 @@ from playlearn.config import atomic_write, from_dict, to_dict
 from playlearn.errors import CheckpointError, PlaylearnError, UsageError
 from playlearn.policies.encoders import EncoderConfig, StateConfig
 from playlearn.policies.heads import DeterministicConfig, Generators, Guidance, HeadConfig
-from playlearn.policies.inputs import Inputs, Labelled, Named, Observed, PolicySpec
-from playlearn.policies.normalise import Normaliser, Statistics, pooled
+from playlearn.policies.inputs import Inputs, Labeled, Named, Observed, PolicySpec
+from playlearn.policies.normalize import Normalizer, Statistics, pooled
 from playlearn.policies.trunks import TransformerConfig, TrunkConfig
 
 WEIGHTS, DESCRIPTION = "policy.safetensors", "policy.json"
 FORMAT = 1
 _NOTHING = torch.empty(0)
-_UNTOLD = "this policy cannot tell where things are: train it from images with encoder.auxiliary.achieved above 0"
+_UNTOLD = "this policy cannot tell where things are: train it from images with encoder.state_supervision above 0"
 
 
 @dataclass(frozen=True)
@@ -87,12 +87,12 @@ class Policy(nn.Module):
             "action": len(spec.action_names),
         }
         if statistics is None:
-            self.normaliser = Normaliser.identity(widths)
+            self.normalizer = Normalizer.identity(widths)
         else:
             names = {"state": spec.state_names, "achieved": spec.achieved_names}
             # one that is hardly used must not count as much as the others; of what changes, all counts alike
             share = {} if spec.clipped else {"action_share": 0.0}
-            self.normaliser = Normaliser(pooled(statistics, names), **share)
+            self.normalizer = Normalizer(pooled(statistics, names), **share)
         width = config.trunk.width
         self.encoder = config.encoder.build(spec, width, fetch=fetch)
         self.trunk = config.trunk.build(self.encoder.goal_tokens + config.history * self.encoder.step_tokens)
@@ -108,11 +108,11 @@ class Policy(nn.Module):
     def device(self) -> torch.device:
         return next(self.parameters()).device
 
-    def fit(self, actions: Tensor) -> None:
+    def fit_action_statistics(self, actions: Tensor) -> None:
         """Let the head look at the training data's actions (n, A), before the first update."""
-        self.head.fit(self.normaliser.normalise("action", actions).unsqueeze(1))
+        self.head.fit_action_statistics(self.normalizer.normalize("action", actions).unsqueeze(1))
 
-    def adopt(self, other: "Policy", source: Path) -> None:
+    def load_from(self, other: "Policy", source: Path) -> None:
         """Take over all of another policy, which may differ in its encoder alone; source: its run.
 
         Raises:
@@ -129,7 +129,7 @@ class Policy(nn.Module):
         if apart:
             raise UsageError(
                 f"init: the policy of {source} has another {' and '.join(sorted(apart))}: give its own `policy` block; "
-                "eyes for a policy of states need its `hidden`, and feed_estimate: true"
+                "eyes for a policy of states need its `hidden`, and use_estimated_state: true"
             )
         self.load_state_dict(own | given)
 
@@ -141,13 +141,13 @@ class Policy(nn.Module):
         """
         joined = seeing.config.build(seeing.spec, None, seed=0, fetch=False)
         joined.load_state_dict(seeing.state_dict())
-        mine, its = (part.normaliser.state_dict() for part in (self, seeing))
+        mine, its = (part.normalizer.state_dict() for part in (self, seeing))
         if any(not torch.equal(mine[name], its[name]) for name in mine):
             raise UsageError(f"the image encoder of {source} learned from other play: train both on the same store")
-        joined.adopt(self, source)
+        joined.load_from(self, source)
         return joined.to(self.device).eval()
 
-    def learning(self, patterns: Sequence[str]) -> list[nn.Parameter]:
+    def freeze_except(self, patterns: Sequence[str]) -> list[nn.Parameter]:
         """The parameters that some shell-style pattern names; all others are frozen.
 
         Raises:
@@ -163,9 +163,9 @@ class Policy(nn.Module):
                 parameter.requires_grad_(False)
         return [parameter for parameter in named.values() if parameter.requires_grad]
 
-    def forward(self, batch: Labelled, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
+    def forward(self, batch: Labeled, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
         """Scalar training loss and its parts; all randomness (dropout, augmentation, noise) from `generator`."""
-        config, normal = self.config, self._normalised(batch)
+        config, normal = self.config, self._normalized(batch)
         if not self.acting_learns:
             # no gradient of the head's loss would reach anything: only what is learned beside it is computed
             normal = _with_keypoints(normal, batch)
@@ -187,9 +187,9 @@ class Policy(nn.Module):
         taught = chain(self.encoder.token_parameters(), self.trunk.parameters(), self.head.parameters())
         return any(parameter.requires_grad for parameter in taught)
 
-    def loss(self, batch: Labelled, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
+    def loss(self, batch: Labeled, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
         """The same with nothing withheld and no augmentation: what held-out play is judged by."""
-        normal = self._normalised(batch)
+        normal = self._normalized(batch)
         if not self.acting_learns:
             normal = _with_keypoints(normal, batch)
             return _summed(self.encoder.auxiliary(self.encoder.perceive(normal), normal))
@@ -206,7 +206,7 @@ class Policy(nn.Module):
         guidance: weight of the goal, None for the plain prediction (a weight of 1). mode: the head's mode
         rather than a sample.
         """
-        normal = self._normalised(inputs)
+        normal = self._normalized(inputs)
         batch, weight = len(normal.state), 1.0 if guidance is None else guidance
         shown = torch.full((batch,), weight != 0, device=self.device)
         features = self._features(normal, shown, None)[0]
@@ -214,35 +214,35 @@ class Policy(nn.Module):
         if weight not in (0.0, 1.0):
             guide = Guidance(self._features(normal, ~shown, None)[0], weight)
         chunk = self.head.mode(features, guide) if mode else self.head.sample(features, generator, guide)
-        chunk = self.normaliser.restore("action", chunk)
+        chunk = self.normalizer.restore("action", chunk)
         return (chunk.clamp(-1, 1) if self.spec.clipped else chunk).float().cpu()
 
     @torch.inference_mode()
-    def believed(self, inputs: Observed) -> Tensor:
+    def estimate_achieved(self, inputs: Observed) -> Tensor:
         """(B, G) float32 on the CPU: what is achieved now, read from its images where it looks through cameras.
 
         Raises:
-            UsageError: it looks through cameras and was not taught to tell (`encoder.auxiliary`).
+            UsageError: it looks through cameras and was not taught to tell (`encoder.state_supervision`).
         """
         if not self.config.encoder.observation_cameras:
             return inputs.achieved[:, -1].float().cpu()
         keep = torch.zeros(len(inputs.state), dtype=torch.bool, device=self.device)
-        observed = self.encoder(self._normalised(inputs), keep, None).observed
+        observed = self.encoder(self._normalized(inputs), keep, None).observed
         if observed is None:
             raise UsageError(_UNTOLD)
-        return self.normaliser.restore("achieved", observed[:, -1]).float().cpu()
+        return self.normalizer.restore("achieved", observed[:, -1]).float().cpu()
 
     @torch.inference_mode()
     def perceived(self, inputs: Observed) -> tuple[Tensor, Tensor]:
         """(B, T, G) and (B, G) float32 on the CPU: what is achieved, and in the goal, as its images tell.
 
         Raises:
-            UsageError: it was not taught to tell either from images (`encoder.auxiliary`).
+            UsageError: it was not taught to tell either from images (`encoder.state_supervision`).
         """
-        tokens = self.encoder.perceive(self._normalised(inputs))
+        tokens = self.encoder.perceive(self._normalized(inputs))
         if tokens.observed is None or tokens.wanted is None or "image" not in self.config.encoder.goals:
             raise UsageError(_UNTOLD)
-        restore = self.normaliser.restore
+        restore = self.normalizer.restore
         return restore("achieved", tokens.observed).float().cpu(), restore("achieved", tokens.wanted).float().cpu()
 
     def check(self, spec: Named, cameras: Mapping[str, tuple[int, int]]) -> None:
@@ -284,21 +284,21 @@ class Policy(nn.Module):
             raise CheckpointError(f"the policy at {path} cannot be read: {type(error).__name__}: {error}") from error
         return policy.to(device).eval()
 
-    def _kept(self, dropout: float, batch: Labelled, generator: torch.Generator) -> Tensor:
+    def _kept(self, dropout: float, batch: Labeled, generator: torch.Generator) -> Tensor:
         """(B,) bool, False for a share of `dropout`."""
         draws = torch.rand(len(batch.state), generator=generator, device=generator.device)
         return (draws >= dropout).to(self.device)
 
     def _loss(
         self,
-        batch: Labelled,
+        batch: Labeled,
         normal: Inputs,
         keep: Tensor,
         generator: torch.Generator,
         augment: torch.Generator | None,
     ) -> tuple[Tensor, dict[str, Tensor]]:
         features, extra = self._features(_with_keypoints(normal, batch), keep, augment)
-        chunk = self.normaliser.normalise("action", batch.action)
+        chunk = self.normalizer.normalize("action", batch.action)
         loss, metrics = self.head.loss(features, chunk, batch.action_mask, generator)
         total, parts = _summed({"head": loss, **extra})
         return total, {**parts, **{name: value.detach() for name, value in metrics.items()}}
@@ -315,15 +315,15 @@ class Policy(nn.Module):
             mask = torch.cat([steps.new_ones(len(steps), self.encoder.goal_tokens), steps], dim=1)
         return self.trunk(tokens, mask), self.encoder.auxiliary(encoded, inputs)
 
-    def _normalised(self, inputs: Observed) -> Inputs:
-        """On this policy's device, numbers normalised, only the cameras it reads."""
-        encoder, device, normalise = self.config.encoder, self.device, self.normaliser.normalise
+    def _normalized(self, inputs: Observed) -> Inputs:
+        """On this policy's device, numbers normalized, only the cameras it reads."""
+        encoder, device, normalize = self.config.encoder, self.device, self.normalizer.normalize
         return Inputs(
-            state=normalise("state", inputs.state.to(device)),
-            achieved=normalise("achieved", inputs.achieved.to(device)),
+            state=normalize("state", inputs.state.to(device)),
+            achieved=normalize("achieved", inputs.achieved.to(device)),
             history_mask=inputs.history_mask.to(device),
-            goal_achieved=normalise("achieved", inputs.goal_achieved.to(device)),
-            goal_state=normalise("state", inputs.goal_state.to(device)),
+            goal_achieved=normalize("achieved", inputs.goal_achieved.to(device)),
+            goal_proprio=normalize("state", inputs.goal_proprio.to(device)),
             images={camera: inputs.images[camera].to(device) for camera in encoder.observation_cameras},
             goal_images={
                 camera: inputs.goal_images[camera].to(device)
@@ -333,7 +333,7 @@ class Policy(nn.Module):
         )
 
 
-def _with_keypoints(normal: Inputs, batch: Labelled) -> Inputs:
+def _with_keypoints(normal: Inputs, batch: Labeled) -> Inputs:
     return replace(normal, keypoints=batch.keypoints, goal_keypoints=batch.goal_keypoints)
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 Row = Mapping[str, Any]
 PERIOD = 50  # ms, of control at 20 Hz
-BLUE, GREY, AMBER = "#2a6f97", "#9aa5b1", "#edae49"
+BLUE, GRAY, AMBER = "#2a6f97", "#9aa5b1", "#edae49"
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -49,9 +49,9 @@ def plot(rows: Sequence[Row], path: Path) -> None:
         reached.plot([100 * rate for rate in row["by_seed"]], [place] * len(row["by_seed"]), ".", color=AMBER, ms=5)
     reached.set(xlim=(0, 100), xlabel="goals reached, % (95 % interval; a dot a seed)")
     reached.set_yticks(list(places), [row["variant"] for row in ordered])
-    training.barh(places, [(row["train_core_seconds"] or 0) / 60 for row in ordered], color=GREY, height=0.62)
+    training.barh(places, [(row["train_core_seconds"] or 0) / 60 for row in ordered], color=GRAY, height=0.62)
     training.set(xlabel="training, core minutes")
-    latency.barh(places, [row["latency_ms"]["p50"] for row in ordered], color=GREY, height=0.62)
+    latency.barh(places, [row["latency_ms"]["p50"] for row in ordered], color=GRAY, height=0.62)
     latency.plot([row["latency_ms"]["p95"] for row in ordered], places, "|", color="black")
     latency.set(xlabel="ms a chunk (| p95)", xscale="log", xlim=(1, 200))
     latency.set_xticks([1, 3, 10, 30, 100], ["1", "3", "10", "30", "100"])

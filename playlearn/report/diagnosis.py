@@ -25,7 +25,7 @@ def diagnosis_page(
     return template("diagnosis.html.j2").render(results=results, words=words, strips=strips, note=note)
 
 
-def strip(environment: Environment, states: Array, goal_state: Array, camera: str) -> bytes:
+def strip(environment: Environment, states: Array, goal_sim_state: Array, camera: str) -> bytes:
     """An attempt with simulator states (T+1, N): evenly spaced frames, the first and last among them, then the goal.
 
     Raises:
@@ -34,7 +34,7 @@ def strip(environment: Environment, states: Array, goal_state: Array, camera: st
     moments = np.linspace(0, len(states) - 1, min(FRAMES, len(states))).round().astype(int)
     own = environment.render(camera).shape
     parts: list[Array] = []
-    for state in [*states[moments], goal_state]:
+    for state in [*states[moments], goal_sim_state]:
         environment.set_state(np.array(state))
         frame = environment.render(camera, HEIGHT, round(HEIGHT * own[1] / own[0]))
         parts += [frame, np.full((HEIGHT, GAP, 3), 255, np.uint8)]

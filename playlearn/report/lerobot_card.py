@@ -33,7 +33,7 @@ def lerobot_picture(store: Store, title: str) -> bytes:
 
 @dataclass(frozen=True)
 class CardFacts:
-    """entries: episodes of the dataset. goals: it is relabelled. drawn: a picture lies beside."""
+    """entries: episodes of the dataset. goals: it is relabeled. drawn: a picture lies beside."""
 
     title: str
     entries: int

@@ -7,7 +7,7 @@ from typing import Self
 
 from playlearn.report.progress import spoken
 
-LOSS = "heldout/loss"
+LOSS = "val/loss"
 
 
 @dataclass(frozen=True)
@@ -22,10 +22,10 @@ class Outcome:
     steps: int
     of_steps: int
     seconds: float
-    heldout_loss_first: float | None = None
+    val_loss_first: float | None = None
     first_at: int | None = None
-    heldout_loss_last: float | None = None
-    heldout_loss_least: float | None = None
+    val_loss_last: float | None = None
+    val_loss_least: float | None = None
     least_at: int | None = None
 
     @classmethod
@@ -50,11 +50,11 @@ class Outcome:
                 f"the minutes were over after {self.steps} of {self.of_steps} updates ({spoken(self.seconds)}): "
                 "the result will be worse than what the config is made for; raise max_minutes, or leave it out"
             )
-        if self.heldout_loss_first is not None:
+        if self.val_loss_first is not None:
             began = "before the first update" if self.first_at == 0 else f"at update {self.first_at}"
             said.append(
-                f"held-out loss: {self.heldout_loss_first:.4g} {began}, {self.heldout_loss_last:.4g} after "
-                f"{self.steps} updates; the least was {self.heldout_loss_least:.4g} {_at(self.least_at)}"
+                f"held-out loss: {self.val_loss_first:.4g} {began}, {self.val_loss_last:.4g} after "
+                f"{self.steps} updates; the least was {self.val_loss_least:.4g} {_at(self.least_at)}"
             )
             if self._risen():
                 said.append("too many updates for so little play, or a learning rate that is too high")
@@ -62,14 +62,14 @@ class Outcome:
 
     def _risen(self) -> bool:
         """Whether the held-out loss came down and is up again: of a likelihood, that need not mean a bad policy."""
-        first, last, least = self.heldout_loss_first, self.heldout_loss_last, self.heldout_loss_least
+        first, last, least = self.val_loss_first, self.val_loss_last, self.val_loss_least
         if first is None or last is None or least is None or self.first_at != 0:
             return False
         return least < first <= last < math.inf
 
     def complaint(self) -> str | None:
         """Why it may be that nothing was learned; None where the held-out loss fell, or it is not known from where."""
-        first, last, least = self.heldout_loss_first, self.heldout_loss_last, self.heldout_loss_least
+        first, last, least = self.val_loss_first, self.val_loss_last, self.val_loss_least
         if first is None or last is None or least is None or self.first_at != 0 or last < first or self._risen():
             return None
         if not math.isfinite(last):

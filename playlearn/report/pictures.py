@@ -26,7 +26,7 @@ class Pictures:
 
 
 def draw(
-    environment: Environment, states: Array, goal_state: Array, camera: str, height: int, *, film: bool
+    environment: Environment, states: Array, goal_sim_state: Array, camera: str, height: int, *, film: bool
 ) -> Pictures:
     """Pictures of an attempt with simulator states (T+1, N) towards goal_state (N,).
 
@@ -37,7 +37,7 @@ def draw(
     """
     own = environment.render(camera).shape
     size = height, round(height * own[1] / own[0])
-    goal = _look(environment, goal_state, camera, size)
+    goal = _look(environment, goal_sim_state, camera, size)
     frames = None
     if film:
         # At most FILM_FRAMES of them, the first and the last always.

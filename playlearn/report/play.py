@@ -1,7 +1,7 @@
 """What is in a store of play, as numbers: where things were, what changed, what went wrong and was mended.
 
 Nothing here knows a world: objects and fixtures are the groups of `achieved_names` (`red.x`, `drawer.opening`), the
-hand is the first group of `state_names` that has an x and a y, changes are the settled moments of relabelling.
+hand is the first group of `state_names` that has an x and a y, changes are the settled moments of relabeling.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,19 +13,19 @@ from numpy.typing import NDArray
 
 from playlearn.episode import Array, read_annotation
 from playlearn.errors import UsageError
-from playlearn.relabel import SettlingConfig, Table
+from playlearn.relabeling import RelabelIndex, SettlingConfig
 from playlearn.store import Store
 
 CELLS = 28  # of a heat map along its longer side
 BINS = 25
-STILL = 0.01  # metres a second below which a hand, and its fingers, stand still
-EMPTY = 0.004  # metres between fingers that hold nothing
+STILL = 0.01  # meters a second below which a hand, and its fingers, stand still
+EMPTY = 0.004  # meters between fingers that hold nothing
 GAVE_UP, AGAIN, MISSED = "gave_up", "again", "missed_grasp"
 MISHAPS = ("mistake", "slip", MISSED)
 
 
 @dataclass(frozen=True)
-class Attempt:
+class SkillAttempt:
     """One skill from its first step to its last: steps [begin, end) of an episode.
 
     marks: what was said of any of its steps, and `missed_grasp` where the fingers closed on nothing and opened
@@ -44,7 +44,7 @@ class Attempt:
         return GAVE_UP in self.marks
 
 
-def attempts(store: Store) -> list[Attempt]:
+def attempts(store: Store) -> list[SkillAttempt]:
     """Every attempt of a store. The same skill twice running counts twice where the player said so."""
     found = []
     for i in range(len(store)):
@@ -58,7 +58,7 @@ def attempts(store: Store) -> list[Attempt]:
             if _missed(store, i, begin, end):
                 marks.add(MISSED)
             cut = end == len(own) and GAVE_UP not in marks
-            found.append(Attempt(i, begin, end, said[numbers[begin]][0], frozenset(marks), cut))
+            found.append(SkillAttempt(i, begin, end, said[numbers[begin]][0], frozenset(marks), cut))
     return found
 
 
@@ -71,7 +71,7 @@ def figures(store: Store, settling: SettlingConfig | None = None) -> dict[str, A
     if not len(store):
         raise UsageError(f"{store.name()} has no episodes yet: there is nothing to report")
     spec = store.spec
-    table = Table.of_store(store, settling or SettlingConfig())
+    table = RelabelIndex.of_store(store, settling or SettlingConfig())
     tried = attempts(store)
     return {
         "store": store.info(),
@@ -109,7 +109,7 @@ def _missed(store: Store, i: int, begin: int, end: int) -> bool:
     return bool((closed[:-1] & ~closed[1:] & empty[:-1]).any())
 
 
-def _mended(tried: Sequence[Attempt]) -> dict[str, Any]:
+def _mended(tried: Sequence[SkillAttempt]) -> dict[str, Any]:
     """How many attempts, in how many of them the outcome came nevertheless, and in how many it did not."""
     known = [one for one in tried if not one.cut]
     failed = sum(one.failed for one in known)
@@ -150,7 +150,7 @@ def _values(store: Store) -> dict[str, Any]:
     return {name: _histogram(_columns(store, "achieved", names, (name,))[:, 0]) for name in single}
 
 
-def _settled(table: Table) -> dict[str, Any]:
+def _settled(table: RelabelIndex) -> dict[str, Any]:
     gaps = np.concatenate([_gaps(table, table.settled(i)[0]) for i in range(len(table.lengths))])
     return {
         "moments": len(table.moments),
@@ -160,7 +160,7 @@ def _settled(table: Table) -> dict[str, Any]:
     }
 
 
-def _changes(table: Table) -> dict[str, Any]:
+def _changes(table: RelabelIndex) -> dict[str, Any]:
     """Of each object and fixture: how often it changed and came to rest, and how long lay between."""
     minutes = float(table.lengths.sum() / table.fps) / 60
     changed, changes = table.changed_groups(), {}
@@ -174,7 +174,7 @@ def _changes(table: Table) -> dict[str, Any]:
     return changes
 
 
-def _gaps(table: Table, moments: Array) -> Array:
+def _gaps(table: RelabelIndex, moments: Array) -> Array:
     """Seconds from the beginning to the first moment, then from each to the next."""
     return np.diff(moments, prepend=0) / table.fps
 
@@ -212,13 +212,13 @@ def _step_shares(store: Store) -> dict[str, float]:
     return {mark: counts[mark] / int(store.lengths().sum()) for mark in lasting}
 
 
-def _skills(tried: Sequence[Attempt], fps: float) -> dict[str, Any]:
+def _skills(tried: Sequence[SkillAttempt], fps: float) -> dict[str, Any]:
     named = sorted({one.skill for one in tried if one.skill})
     skills = {}
     for name in named:
         own = [one for one in tried if one.skill == name]
         whole = np.array([one.end - one.begin for one in own if not one.cut]) / fps
-        marks = {mark: sum(mark in one.marks for one in own) for mark in ("planned", "pause", *MISHAPS)}
+        marks = {mark: sum(mark in one.marks for one in own) for mark in ("open_loop", "pause", *MISHAPS)}
         skills[name] = {**_mended(own), "seconds": _spread(whole), "marks": marks}
     return dict(sorted(skills.items(), key=lambda item: -item[1]["count"]))
 

@@ -10,7 +10,7 @@ from PIL import Image
 
 from playlearn.episode import Array
 from playlearn.report.pictures import encode_still
-from playlearn.report.strips import COLOURS, Strip, picture, said
+from playlearn.report.strips import COLORS, Strip, picture, said
 from playlearn.report.template import template
 
 WIDTH, HEIGHT = 300, 64  # of a histogram, in its own units
@@ -35,7 +35,7 @@ def store_page(told: Mapping[str, Any], title: str, shown: Shown) -> str:
         maps={name: (heat_map(one["counts"]), one["covers"]) for name, one in told["places"].get("maps", {}).items()},
         strips=[(strip.caption, encode_still(picture(strip))) for strip in shown.strips],
         moments=[encode_still(image) for image in shown.moments],
-        legend={said(mark): f"rgb{colour}" for mark, colour in COLOURS.items()},
+        legend={said(mark): f"rgb{color}" for mark, color in COLORS.items()},
         outline=outline,
         most=max((one["count"] for one in told["skills"].values()), default=1),
         width=WIDTH,
@@ -50,10 +50,10 @@ def heat_map(counts: Sequence[Sequence[int]]) -> bytes:
     at = share * (len(_DARK) - 1)
     below = np.minimum(at.astype(int), len(_DARK) - 2)
     # What was visited at all stands out from what never was.
-    colour = _DARK[below] + (at - below)[..., None] * (_DARK[below + 1] - _DARK[below])
-    colour[(share > 0) & (share < 0.15)] = _DARK[0] + 0.45 * (_DARK[1] - _DARK[0])
+    color = _DARK[below] + (at - below)[..., None] * (_DARK[below + 1] - _DARK[below])
+    color[(share > 0) & (share < 0.15)] = _DARK[0] + 0.45 * (_DARK[1] - _DARK[0])
     buffer = io.BytesIO()
-    Image.fromarray(colour.round().astype(np.uint8)).save(buffer, "PNG")
+    Image.fromarray(color.round().astype(np.uint8)).save(buffer, "PNG")
     return buffer.getvalue()
 
 

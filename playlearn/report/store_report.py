@@ -30,7 +30,7 @@ COLUMNS = {
     "action": "executed, each in [-1, 1]",
     "expert_action": "the label: what was meant, without noise and mistakes",
     "intervention": "whether an expert took over",
-    "skill": "an index into the episode's `skills`: a name, then what befell the step (`place_red:planned:slip`)",
+    "skill": "an index into the episode's `skills`: a name, then what befell the step (`place_red:open_loop:slip`)",
 }
 
 

@@ -9,29 +9,29 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from playlearn.episode import IMAGES, Array, read_annotation
-from playlearn.report.play import GAVE_UP, MISSED, Attempt, attempts
+from playlearn.report.play import GAVE_UP, MISSED, SkillAttempt, attempts
 from playlearn.store import Store
 
 Look = Callable[[int, int, str], Array]  # (episode, observation, camera) -> (h, w, 3) uint8
 FRAMES = 10
 GAP, STRIPE, LINE = 2, 5, 15  # pixels between pictures, of the stripe, of a line of text
 # Of several that are true of a step the first is shown.
-COLOURS = {
+COLORS = {
     "slip": (200, 69, 59),
     "pause": (146, 72, 196),
     "mistake": (217, 138, 31),
     GAVE_UP: (29, 36, 51),
-    "planned": (47, 107, 219),
+    "open_loop": (47, 107, 219),
     "": (176, 184, 197),
 }
-WORDS = {"": "looking", "planned": "planned", GAVE_UP: "gave up", MISSED: "missed grasp"}
+WORDS = {"": "looking", "open_loop": "open_loop", GAVE_UP: "gave up", MISSED: "missed grasp"}
 
 
 @dataclass(frozen=True, eq=False)
 class Strip:
     """One attempt. steps: the observations shown; rows: for each camera their pictures; stripe: mark of each."""
 
-    attempt: Attempt
+    attempt: SkillAttempt
     caption: str
     steps: tuple[int, ...]
     stripe: tuple[str, ...]
@@ -56,19 +56,19 @@ def moments(store: Store, look: Look, camera: str, count: int, rng: np.random.Ge
     return [look(int(i), int(row - rows[i]), camera) for i, row in zip(episodes, drawn, strict=True)]
 
 
-def choose(tried: Sequence[Attempt], count: int, rng: np.random.Generator) -> list[Attempt]:
+def choose(tried: Sequence[SkillAttempt], count: int, rng: np.random.Generator) -> list[SkillAttempt]:
     """Attempts in turn from those with each mark and from those with none; in the order they were made."""
     order = [tried[k] for k in rng.permutation(len(tried)) if tried[k].end - tried[k].begin >= FRAMES]
     order.sort(key=lambda one: (one.cut, one.failed))  # how it ended is part of the story, and best that it was mended
-    kinds: list[Callable[[Attempt], bool]] = [
+    kinds: list[Callable[[SkillAttempt], bool]] = [
         lambda one: MISSED in one.marks,
         lambda one: "slip" in one.marks,
         lambda one: "mistake" in one.marks,
         lambda one: "pause" in one.marks,
         lambda one: GAVE_UP in one.marks,
-        lambda one: not one.marks - {"planned"},
+        lambda one: not one.marks - {"open_loop"},
     ]
-    chosen: list[Attempt] = []
+    chosen: list[SkillAttempt] = []
     while len(chosen) < min(count, len(order)):
         before = len(chosen)
         for fits in kinds:
@@ -84,7 +84,7 @@ def picture(strip: Strip) -> Array:
     """(h, w, 3) uint8: the cameras' rows one above the other, each as wide as the widest, the stripe below them."""
     width = max(row[0].shape[1] for row in strip.rows)
     columns = [
-        [_as_wide(row[k], width) for row in strip.rows] + [_colour(mark, width)] for k, mark in enumerate(strip.stripe)
+        [_as_wide(row[k], width) for row in strip.rows] + [_color(mark, width)] for k, mark in enumerate(strip.stripe)
     ]
     gap = np.full((sum(cell.shape[0] for cell in columns[0]), GAP, 3), 255, np.uint8)
     parts = [part for column in columns for part in (np.concatenate(column), gap)]
@@ -92,7 +92,7 @@ def picture(strip: Strip) -> Array:
 
 
 def sheet(strips: Sequence[Strip], title: str) -> bytes:
-    """The strips under one another with captions and a legend, as PNG of 256 colours."""
+    """The strips under one another with captions and a legend, as PNG of 256 colors."""
     pictures = [picture(strip) for strip in strips]
     width = max(shown.shape[1] for shown in pictures)
     height = sum(shown.shape[0] + LINE + 8 for shown in pictures) + 2 * LINE + 8
@@ -100,8 +100,8 @@ def sheet(strips: Sequence[Strip], title: str) -> bytes:
     draw, font = ImageDraw.Draw(page), ImageFont.load_default(12)
     draw.text((8, 4), title, "black", ImageFont.load_default(14))
     at = 8
-    for mark, colour in COLOURS.items():
-        draw.rectangle((at, LINE + 10, at + 10, LINE + 14), colour)
+    for mark, color in COLORS.items():
+        draw.rectangle((at, LINE + 10, at + 10, LINE + 14), color)
         draw.text((at + 14, LINE + 4), said(mark), (90, 98, 112), font)
         at += 30 + int(draw.textlength(said(mark), font))
     y = 2 * LINE + 8
@@ -119,13 +119,13 @@ def said(mark: str) -> str:
     return WORDS.get(mark, mark)
 
 
-def _strip(store: Store, look: Look, cameras: Sequence[str], one: Attempt) -> Strip:
+def _strip(store: Store, look: Look, cameras: Sequence[str], one: SkillAttempt) -> Strip:
     steps = np.linspace(one.begin, one.end - 1, FRAMES).round().astype(int).tolist()
     skills, numbers = store.meta(one.episode).skills, store.array(one.episode, "skill")
     marks = [read_annotation(skills[numbers[t]])[1] if skills else () for t in range(one.begin, one.end)]
     # A mark that lasts less than the time between two pictures is not lost: each answers for the steps up to the next.
     stripe = [
-        next((mark for mark in COLOURS if any(mark in own for own in marks[a - one.begin : b - one.begin])), "")
+        next((mark for mark in COLORS if any(mark in own for own in marks[a - one.begin : b - one.begin])), "")
         for a, b in pairwise([*steps, one.end])
     ]
     seconds = (one.end - one.begin) / store.spec.fps
@@ -140,7 +140,7 @@ def _strip(store: Store, look: Look, cameras: Sequence[str], one: Attempt) -> St
 
 
 def _as_wide(image: Array, width: int) -> Array:
-    """Centred on a light ground of that width."""
+    """Centerd on a light ground of that width."""
     height, own = image.shape[:2]
     cell = np.full((height, width, 3), 246, np.uint8)
     left = (width - own) // 2
@@ -148,5 +148,5 @@ def _as_wide(image: Array, width: int) -> Array:
     return cell
 
 
-def _colour(mark: str, width: int) -> Array:
-    return np.broadcast_to(np.array(COLOURS[mark], np.uint8), (STRIPE, width, 3))
+def _color(mark: str, width: int) -> Array:
+    return np.broadcast_to(np.array(COLORS[mark], np.uint8), (STRIPE, width, 3))

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from playlearn.episode import IMAGES, Array, read_annotation
-from playlearn.relabel import SettlingConfig, Table
-from playlearn.relabel.robot import RobotReader
-from playlearn.relabel.settling import thresholds
-from playlearn.report.strips import COLOURS, said
+from playlearn.relabeling import RelabelIndex, SettlingConfig
+from playlearn.relabeling.robot import RobotReader
+from playlearn.relabeling.settling import thresholds
+from playlearn.report.strips import COLORS, said
 from playlearn.store import Store
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ HOLD, CHANGED = "#e9edf3", "#f6dfb8"
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class CurveGroup:
     """Curves (T+1, k) of one group, from where they began, in units of what counts as a change."""
 
     group: str
@@ -60,13 +60,13 @@ def drawing(store: Store, episode: int, settling: SettlingConfig) -> "Figure":
     """
     from matplotlib.figure import Figure
 
-    table = Table.of_store(store, settling, episodes=[episode])
+    table = RelabelIndex.of_store(store, settling, episodes=[episode])
     time = store.array(episode, "time")
     seconds = time - time[0]
     moments, ends = table.settled(0)
     groups = np.array(table.groups())
     changed = [groups[row].tolist() for row in table.changed_groups()]
-    tracks = _tracks(store, episode, settling)
+    tracks = _curve_groups(store, episode, settling)
     camera = next(iter(store.cameras()), None)
     heights = [*([] if camera is None else [1.35]), 0.5, 0.3, *(0.75 if track.moved else 0.22 for track in tracks)]
     total = sum(heights) + TOP + BOTTOM
@@ -98,7 +98,7 @@ def drawing(store: Store, episode: int, settling: SettlingConfig) -> "Figure":
     return figure
 
 
-def _tracks(store: Store, episode: int, settling: SettlingConfig) -> list[Track]:
+def _curve_groups(store: Store, episode: int, settling: SettlingConfig) -> list[CurveGroup]:
     """A track for each group of achieved dimensions, and one each for gripper and arm."""
     spec, every = store.spec, range(len(store))
     settling = settling.measured((store.array(i, "achieved") for i in every), spec.achieved_names, spec.fps)
@@ -109,14 +109,14 @@ def _tracks(store: Store, episode: int, settling: SettlingConfig) -> list[Track]
     for group, columns, unit in (("gripper", robot.gripper, np.array([robot.opens])), ("arm", robot.arm, robot.moves)):
         names = tuple(spec.state_names[k].rpartition(".")[2] for k in columns)
         if columns:
-            tracks.append(Track(group, names, _scaled(states[episode][:, columns], unit)))
+            tracks.append(CurveGroup(group, names, _scaled(states[episode][:, columns], unit)))
     return tracks
 
 
-def _grouped(values: Array, names: Sequence[str], unit: Array) -> list[Track]:
+def _grouped(values: Array, names: Sequence[str], unit: Array) -> list[CurveGroup]:
     owners = np.array([name.split(".")[0] for name in names])
     return [
-        Track(group, tuple(names[k].partition(".")[2] for k in own), _scaled(values[:, own], unit[own]))
+        CurveGroup(group, tuple(names[k].partition(".")[2] for k in own), _scaled(values[:, own], unit[own]))
         for group in dict.fromkeys(owners.tolist())
         for own in [np.flatnonzero(owners == group)]
     ]
@@ -145,27 +145,27 @@ def _fan(axes: "Axes", labels: Sequence[str], places: Array, shares: Array) -> N
 
 
 def _skills(axes: "Axes", seconds: Array, names: Sequence[str], numbers: Array) -> None:
-    """A bar for each skill, in a colour of its own, and along its foot what else was true of its steps."""
+    """A bar for each skill, in a color of its own, and along its foot what else was true of its steps."""
     said_of = [read_annotation(text) for text in names] or [("", ())]
     skills = [said_of[number][0] for number in numbers]
-    marks = [next((mark for mark in COLOURS if mark in said_of[number][1]), "") for number in numbers]
+    marks = [next((mark for mark in COLORS if mark in said_of[number][1]), "") for number in numbers]
     order = list(dict.fromkeys(skills))
     for begin, end in _runs(skills):
-        colour = PALETTE[order.index(skills[begin]) % len(PALETTE)]
-        axes.barh(0.6, seconds[end] - seconds[begin], 0.8, seconds[begin], color=colour, alpha=0.35)
+        color = PALETTE[order.index(skills[begin]) % len(PALETTE)]
+        axes.barh(0.6, seconds[end] - seconds[begin], 0.8, seconds[begin], color=color, alpha=0.35)
         axes.text(seconds[begin], 0.6, f" {skills[begin]}", va="center", fontsize=8, clip_on=True)
     for begin, end in _runs(marks):
         if marks[begin]:
-            axes.barh(0.1, seconds[end] - seconds[begin], 0.2, seconds[begin], color=_colour(marks[begin]))
+            axes.barh(0.1, seconds[end] - seconds[begin], 0.2, seconds[begin], color=_color(marks[begin]))
     axes.set(xlim=(0, seconds[-1]), ylim=(0, 1), yticks=[])
     axes.set_ylabel("skill", rotation=0, ha="right", va="center", fontsize=9)
     axes.tick_params(labelbottom=False, bottom=False)
     axes.spines[:].set_visible(False)
-    for k, mark in enumerate(mark for mark in COLOURS if mark and mark in marks):
-        axes.text(1.005, 0.9 - 0.4 * k, said(mark), color=_colour(mark), fontsize=7, transform=axes.transAxes)
+    for k, mark in enumerate(mark for mark in COLORS if mark and mark in marks):
+        axes.text(1.005, 0.9 - 0.4 * k, said(mark), color=_color(mark), fontsize=7, transform=axes.transAxes)
 
 
-def _curves(axes: "Axes", seconds: Array, track: Track) -> None:
+def _curves(axes: "Axes", seconds: Array, track: CurveGroup) -> None:
     for number, (name, values) in enumerate(zip(track.names, track.values.T, strict=True)):
         axes.plot(seconds, values, lw=1.1, color=PALETTE[number % len(PALETTE)], label=name)
     axes.set(xlim=(0, seconds[-1]))
@@ -185,8 +185,8 @@ def _curves(axes: "Axes", seconds: Array, track: Track) -> None:
     )
 
 
-def _colour(mark: str) -> tuple[float, ...]:
-    return tuple(channel / 255 for channel in COLOURS[mark])
+def _color(mark: str) -> tuple[float, ...]:
+    return tuple(channel / 255 for channel in COLORS[mark])
 
 
 def _runs(values: Sequence[str]) -> list[tuple[int, int]]:

@@ -22,7 +22,7 @@ from PIL import Image
 
 from playlearn.episode import Array, Episode
 from playlearn.errors import PlaylearnError, UsageError
-from playlearn.relabel import SettlingConfig, Table
+from playlearn.relabeling import RelabelIndex, SettlingConfig
 from playlearn.report.timeline import timeline
 from playlearn.store import open_store
 
@@ -32,7 +32,7 @@ STILLS = ("start", "goal", "final")
 def view_episode(path: Path, episode: int = 0, *, save: Path | None = None) -> Path | None:
     """Show one episode of a store: cameras, goals, state, achieved, actions, skills, settled moments.
 
-    The goal beside each camera is what relabelling would give as the next: the world as it next settles.
+    The goal beside each camera is what relabeling would give as the next: the world as it next settles.
     Returns the .rrd where one was written (`save`, or no display), else None. A `save` that ends in .png is
     the episode's timeline as a picture.
 
@@ -45,7 +45,7 @@ def view_episode(path: Path, episode: int = 0, *, save: Path | None = None) -> P
     if save is not None and save.suffix == ".png":
         print(f"wrote {timeline(store, episode, save)}")
         return save
-    table = Table.of_store(store, SettlingConfig(), episodes=[episode])
+    table = RelabelIndex.of_store(store, SettlingConfig(), episodes=[episode])
     name = f"{Path(path).resolve().name}-episode-{episode}"
     return _show(name, _episode_layout(play), lambda recording: _log_episode(recording, play, table), save)
 
@@ -133,7 +133,7 @@ def _episode_layout(play: Episode) -> rrb.Container:
     )
 
 
-def _log_episode(recording: rr.RecordingStream, play: Episode, table: Table) -> None:
+def _log_episode(recording: rr.RecordingStream, play: Episode, table: RelabelIndex) -> None:
     meta, steps = play.meta, len(play)
     seconds = play.time - play.time[0]
 

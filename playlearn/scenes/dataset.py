@@ -9,8 +9,8 @@ import torch
 from numpy.typing import NDArray
 
 from playlearn.data import Batch, Indices, laid_end_to_end
+from playlearn.data.prefetch import prepared_ahead
 from playlearn.episode import IMAGES, Array
-from playlearn.prefetch import prepared_ahead
 from playlearn.scenes.draw import KEYPOINTS
 from playlearn.store import episode_path
 from playlearn.store.tensors import map_tensors, read_header
@@ -74,7 +74,7 @@ class Scenes:
             images={camera: frames[:, None] for camera, frames in images.items()},
             history_mask=torch.ones(count, 1, dtype=torch.bool),
             goal_achieved=achieved,
-            goal_state=state,
+            goal_proprio=state,
             goal_images={camera: images[camera] for camera in self.goal_cameras},
             action=torch.zeros(count, steps, actions),
             action_mask=torch.zeros(count, steps, dtype=torch.bool),

@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-import playlearn.tasks  # noqa: F401 - registers the environments
+import playlearn.envs  # noqa: F401 - registers the environments
 from playlearn.config import from_dict
 from playlearn.episode import IMAGES, Array
 from playlearn.errors import UsageError
@@ -42,7 +42,7 @@ class SceneEnvironment(Environment, Protocol):
 def draw_scenes(
     config: ScenesConfig,
     store: Store,
-    held_out: NDArray[np.bool_],
+    val_mask: NDArray[np.bool_],
     cameras: Sequence[str],
     folder: Path,
     workers: int | None = None,
@@ -73,7 +73,7 @@ def draw_scenes(
                 "rearranged": 0.0 if out else config.rearranged,
             },
         )
-        for number, out in zip(store.indices(), held_out, strict=True)
+        for number, out in zip(store.indices(), val_mask, strict=True)
         if not episode_path(folder, int(number)).exists()
     ]
     if not jobs:

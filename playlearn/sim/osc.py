@@ -6,7 +6,7 @@ with L = (J M^-1 J^T)^-1 the arm's inertia in the task space, L_p and L_r those 
 alone, and N the null space of J (Khatib, 1987). This is robosuite's OSC_POSE, to the last bit where both run on
 one machine: its own compiled functions do the algebra, and what it does in numpy around them is done in the same
 order. Rounding matters: in a
-gripper whose fingers touch each other, a torque that differs by 1e-13 moves a finger by a millimetre in 14 ms.
+gripper whose fingers touch each other, a torque that differs by 1e-13 moves a finger by a millimeter in 14 ms.
 A Cholesky solution would make a control step a third shorter.
 """
 
@@ -57,7 +57,7 @@ class ArmControl:
     """The controller of one world's arm: `step` moves its simulation one control period on.
 
     site, base: ids of the sites to be moved and of the arm's own origin. qpos, qvel, ctrl: (n,) indices of the arm.
-    kp, kd: (6,) gains. scale: (6,) metres and radians that an action of 1 stands for. rest: (n,) rad, the posture
+    kp, kd: (6,) gains. scale: (6,) meters and radians that an action of 1 stands for. rest: (n,) rad, the posture
     that a redundant arm is drawn to. substeps: physics steps in a control period.
     """
 
@@ -279,7 +279,7 @@ def _jacobian(world: Any, where: int, moves: Any) -> Any:
     for i in range(world.joints):
         if moves[i]:
             dof = world.qvel_at[i]
-            axis = axes[dof]  # angular before linear, at the root's centre of mass
+            axis = axes[dof]  # angular before linear, at the root's center of mass
             jacobian[0, dof] = axis[3] + (axis[1] * z - axis[2] * y)
             jacobian[1, dof] = axis[4] + (axis[2] * x - axis[0] * z)
             jacobian[2, dof] = axis[5] + (axis[0] * y - axis[1] * x)

@@ -18,15 +18,15 @@ __all__ = [
     "StoreConfig",
     "StoreSpec",
     "Writer",
-    "described",
     "episode_path",
     "open_store",
+    "parse_store",
     "with_images",
     "write_episode",
 ]
 
 
-def described(raw: Any) -> Path | StoreConfig:
+def parse_store(raw: Any) -> Path | StoreConfig:
     """What `store:` says in a config that was saved: a folder, or a kind with its settings."""
     return from_dict(StoreConfig, raw) if isinstance(raw, Mapping) else Path(raw)
 

@@ -26,7 +26,7 @@ from playlearn.episode import Array, Episode, EpisodeMeta
 from playlearn.errors import EpisodeError, StoreError
 from playlearn.store.base import StoreConfig, StoreSpec, from_json, summary, to_json, with_images
 from playlearn.store.folder import check_free, episode_path, indices, locked, make_folder, strangers, sweep
-from playlearn.store.maps import Maps
+from playlearn.store.mmap_cache import Maps
 from playlearn.store.tensors import DAMAGED, Layout, checksum_holds, map_tensors, read_header, write_tensors
 
 FORMAT, VERSION = "playlearn", 1

@@ -1,7 +1,7 @@
 """Import of OGBench's manipulation datasets (Park et al., 2024, arXiv:2410.20092): `cube-*` and `scene-*`, as .npz.
 
 Its rows are the observations s_0 ... s_T of an episode, each with the action taken there; `terminals` marks s_T, whose
-action leads nowhere. What they say is told in the numbers of our own OGBench worlds (`playlearn.tasks.ogbench`), so
+action leads nowhere. What they say is told in the numbers of our own OGBench worlds (`playlearn.envs.ogbench`), so
 that a policy learned from them is judged there. OGBench's observation, in this order:
 
     joint positions (6) and velocities (6); hand x y z, less 0.425 m in x, times 10; cos and sin of its yaw;
@@ -23,7 +23,7 @@ from playlearn.store.base import StoreSpec
 from playlearn.store.npz import Rows, members
 
 FPS = 20.0
-WIDEST = 0.085  # metres between the fingers
+WIDEST = 0.085  # meters between the fingers
 ROBOT, CUBE, BUTTON, SLIDES = 19, 9, 4, 4  # numbers of OGBench's observation
 BUTTONS = 2
 STATE_NAMES = (
@@ -32,9 +32,9 @@ STATE_NAMES = (
     *(f"arm.v{k}" for k in range(6)),
 )
 ACTION_NAMES = ("dx", "dy", "dz", "dyaw", "gripper")
-_CENTRE, _SCALE = np.array([0.425, 0.0, 0.0]), 10.0
+_CENTER, _SCALE = np.array([0.425, 0.0, 0.0]), 10.0
 _UP, _DRAWER, _WINDOW = 120.0, 18.0, 15.0
-# Of its scene, metres: the buttons' tops when up; drawer's and window's handle at 0, and along which axis it goes.
+# Of its scene, meters: the buttons' tops when up; drawer's and window's handle at 0, and along which axis it goes.
 _TOPS = ((0.58, -0.0500616, 0.1254), (0.58, 0.0499417, 0.1212))
 _HANDLES = (((0.3302867, -0.2400002, 0.08), (-0.0015927, -0.9999987, 0.0)), ((0.286, 0.225, 0.237), (1.0, 0.0, 0.0)))
 _ARRAYS = ("observations", "actions", "terminals")
@@ -148,14 +148,14 @@ class OgbenchFile:
 
 def robot(seen: Array) -> Array:
     """(T+1, 19) float32 in our order and SI units, of OGBench's observations (T+1, D)."""
-    hand = seen[:, 12:15] / _SCALE + _CENTRE
+    hand = seen[:, 12:15] / _SCALE + _CENTER
     opening = WIDEST * (1.0 - seen[:, 17:18] / 3.0)
     told: Array = np.concatenate([hand, seen[:, 15:17], opening, seen[:, 18:19], seen[:, :12]], axis=1)
     return told.astype(np.float32)
 
 
 def cube(seen: Array) -> Array:
-    """(T+1, 5) x y z and (cos, sin)(4 yaw), however it lies (see `playlearn.tasks.pieces.world.yaw_code`)."""
+    """(T+1, 5) x y z and (cos, sin)(4 yaw), however it lies (see `playlearn.envs.pieces.env.yaw_code`)."""
     w, x, y, z = (seen[:, 3:7] / np.linalg.norm(seen[:, 3:7], axis=1, keepdims=True)).T
     axes = [  # each of its axes, in the plane
         (1 - 2 * (y * y + z * z)) + 2j * (x * y + w * z),
@@ -163,7 +163,7 @@ def cube(seen: Array) -> Array:
         2 * (x * z + w * y) + 2j * (y * z - w * x),
     ]
     code = 0.5 * np.sum([axis**4 for axis in axes], axis=0)
-    told: Array = np.concatenate([seen[:, :3] / _SCALE + _CENTRE, np.stack([code.real, code.imag], axis=1)], axis=1)
+    told: Array = np.concatenate([seen[:, :3] / _SCALE + _CENTER, np.stack([code.real, code.imag], axis=1)], axis=1)
     return told
 
 

@@ -37,7 +37,7 @@ class RobomimicConfig:
     achieved: tuple[str, ...] | None = None
     cameras: tuple[str, ...] | None = None
     mask: str | None = None
-    heldout: str = "valid"
+    val_mask: str = "valid"
     fps: float | None = None
 
 
@@ -57,7 +57,7 @@ class RobomimicFile(Demonstrations):
             self.splits: Mapping[str, Sequence[int]] = masks(file, path, names)
             wanted = chosen(config.mask, self.splits, path)
             self._names = {number: name for number, name in names.items() if wanted is None or number in wanted}
-            out = self._names.keys() & set(self.splits.get(config.heldout, ()))
+            out = self._names.keys() & set(self.splits.get(config.val_mask, ()))
             self._out = out if out != self._names.keys() else set()
             arguments = described(file["data"], "env_args")
             first = file["data"][next(iter(self._names.values()))]
@@ -126,7 +126,7 @@ class RobomimicFile(Demonstrations):
             actor="demonstrator",
             cameras={camera: {"height": h, "width": w} for camera, (h, w) in self.spec.cameras.items()},
             ended=WON if won else "length",
-            split=("heldout" if number in self._out else "train") if self._out else "",
+            split=("val" if number in self._out else "train") if self._out else "",
         )
         return Episode(
             meta=meta,

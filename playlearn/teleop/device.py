@@ -16,8 +16,8 @@ import numpy as np
 
 from playlearn.episode import Array, Decision, Goal, Observation
 from playlearn.errors import UsageError
+from playlearn.oracles.end_effector import CLOSE, OPEN
 from playlearn.sim.environment import Environment
-from playlearn.teleop.hand import CLOSE, OPEN
 
 ACTIONS = 7  # three of position, three of rotation, the gripper
 DEVICES = {"keyboard": ("Keyboard", "keyboard"), "spacemouse": ("SpaceMouse", "spacemouse")}  # class, module

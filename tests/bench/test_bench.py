@@ -14,16 +14,16 @@ from playlearn.bench import BENCHMARKS, Figure, Size, run
 from playlearn.bench import collect as recording
 from playlearn.bench import data as reading
 from playlearn.bench.base import rates
+from playlearn.bench.envs import actions
 from playlearn.bench.render import ssim
-from playlearn.bench.worlds import actions
 from playlearn.cli import main
-from playlearn.collect import collect, job
+from playlearn.collection import collect, job
 from playlearn.data import DataConfig, PlayDataset
 from playlearn.errors import PlaylearnError, UsageError
-from playlearn.relabel import UniformConfig
+from playlearn.relabeling import UniformConfig
 from playlearn.store import NativeStore
 from tests.bench.rows import breaks, two_rows
-from tests.fakes import PointConfig, PointPlayer
+from tests.fakes import PointConfig, PointPlayPolicy
 
 SAMPLE = Path(__file__).parents[2] / "datasets" / "sample"
 SLOW = ("collect", "data", "render", "threads", "train")
@@ -31,7 +31,7 @@ APART = (
     "collect",
     "render",
 )  # robosuite draws in them; the others are measured in this process, which has LeRobot's imports
-TINY = Size(steps=2, rounds=1, episodes=4, worlds=("lift",))
+TINY = Size(steps=2, rounds=1, episodes=4, envs=("lift",))
 
 
 @pytest.mark.filterwarnings("ignore")  # what LeRobot and the packages below it warn of is theirs to mend
@@ -69,7 +69,7 @@ def test_none_measures_before_somebody_asks() -> None:
 
 
 def test_what_is_recorded_is_counted_in_steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(job, "player_for", lambda *_: PointPlayer())
+    monkeypatch.setattr(job, "play_policy_for", lambda *_: PointPlayPolicy())
     config = replace(recording._config((), TINY), environment=PointConfig())
     collect(config, tmp_path / "play", workers=0)
     steps, seconds = recording._ours(config, tmp_path / "play")
@@ -78,7 +78,7 @@ def test_what_is_recorded_is_counted_in_steps(tmp_path: Path, monkeypatch: pytes
 
 
 def test_batches_are_full_and_go_on_with_the_next_epoch() -> None:
-    dataset = PlayDataset(NativeStore.open(SAMPLE), DataConfig(goals=UniformConfig(horizon=5.0), heldout_share=0))
+    dataset = PlayDataset(NativeStore.open(SAMPLE), DataConfig(goals=UniformConfig(horizon=5.0), val_fraction=0))
     batches = reading._our_batches(dataset)
     epoch = len(dataset) // reading.EXAMPLES
     sizes = {len(next(batches).action) for _ in range(epoch + 1)}

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from playlearn.collect import job
+from playlearn.collection import job
 from playlearn.config import save_config
 from tests.faults import point
 
@@ -10,7 +10,7 @@ from tests.faults import point
 @pytest.fixture(autouse=True)
 def _points(monkeypatch: pytest.MonkeyPatch) -> None:
     """In this process too, the player of the fake world plays."""
-    monkeypatch.setattr(job, "player_for", point.player)
+    monkeypatch.setattr(job, "play_policy_for", point.player)
 
 
 @pytest.fixture

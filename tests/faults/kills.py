@@ -28,7 +28,7 @@ from tests.synthetic import make_episode
 
 PACKAGE = Path(playlearn.__file__).parent
 COMMIT = ("store/native.py", "store/tensors.py", "store/folder.py", "config/record.py")
-COLLECT = ("store/native.py", "store/folder.py", "collect/job.py", "collect/world.py")
+COLLECT = ("store/native.py", "store/folder.py", "collection/job.py", "collection/env.py")
 
 tqdm.monitor_interval = 0  # no thread of its own: one that forks should have none
 
@@ -117,13 +117,13 @@ def half_written(folder: Path) -> dict[str, Any]:
 
 def every_line_of_a_collection(folder: Path) -> dict[str, Any]:
     """Killed once before each line of collection and store, the first or another time it is run; then resumed."""
-    from playlearn.collect import world
+    from playlearn.collection import env
     from tests.faults import point
 
     point.install()
     config, out = point.config(episodes=2, steps=4), folder / "play"
-    world.git_revision = lambda: "abc"  # type: ignore[assignment]  # quick, and the same in every round
-    world.versions = dict  # type: ignore[assignment]
+    env.git_revision = lambda: "abc"  # type: ignore[assignment]  # quick, and the same in every round
+    env.versions = dict  # type: ignore[assignment]
 
     def act() -> None:
         _collect(config, out)
@@ -223,7 +223,7 @@ def _mended(store: NativeStore, episode: Any, reference: bytes, where: str) -> i
 
 
 def _collect(config: Any, out: Path) -> None:
-    from playlearn.collect import collect
+    from playlearn.collection import collect
 
     with contextlib.redirect_stderr(io.StringIO()):
         collect(config, out, workers=0, resume=True)

@@ -13,12 +13,12 @@ import time
 from collections.abc import Sequence
 
 from playlearn import cli
-from playlearn.collect import CollectConfig, episode_seed, job
+from playlearn.collection import CollectConfig, episode_seed, job
 from playlearn.episode import Decision, Goal, Observation
 from playlearn.executor import LocalExecutorConfig
+from playlearn.oracles import PlayConfig
 from playlearn.sim import Environment
-from playlearn.teleop import PlayConfig
-from tests.fakes import PointConfig, PointPlayer, PointWorld
+from tests.fakes import PointConfig, PointEnv, PointPlayPolicy
 
 FAULTS = "PLAYLEARN_FAULTS"
 PACE = "PLAYLEARN_PACE"  # seconds a step takes
@@ -31,20 +31,20 @@ def config(episodes: int = 12, steps: int = 12) -> CollectConfig:
     return CollectConfig(environment=PointConfig(), episodes=episodes, steps=steps, seed=SEED)
 
 
-class Unlucky(PointPlayer):
+class Unlucky(PointPlayPolicy):
     """Plays on until step `AT` of an episode to which something happens."""
 
-    def __init__(self, world: PointWorld) -> None:
+    def __init__(self, env: PointEnv) -> None:
         super().__init__(noise=0.3)
         faults = json.loads(os.environ.get(FAULTS, "{}"))
         self._faults = {episode_seed(SEED, int(episode)): what for episode, what in faults.items()}
         self._pace = float(os.environ.get(PACE, "0"))
-        self._world, self._what, self._step = world, "", 0
+        self._env, self._what, self._step = env, "", 0
 
     def reset(self, goals: Sequence[Goal | None], seeds: Sequence[int]) -> None:
         super().reset(goals, seeds)
         self._what, self._step = self._faults.get(seeds[0], ""), 0
-        self._world._diverge_at = {"diverges at once": 1, "diverges": AT}.get(self._what)
+        self._env._diverge_at = {"diverges at once": 1, "diverges": AT}.get(self._what)
 
     def act(self, observations: Sequence[Observation], active: Sequence[bool]) -> list[Decision]:
         time.sleep(self._pace)
@@ -63,13 +63,13 @@ class Unlucky(PointPlayer):
 
 
 def player(environment: Environment, _config: PlayConfig) -> Unlucky:
-    assert isinstance(environment, PointWorld)
+    assert isinstance(environment, PointEnv)
     return Unlucky(environment)
 
 
 def install() -> None:
     """From now on this process plays with that player."""
-    job.player_for = player  # type: ignore[assignment]
+    job.play_policy_for = player  # type: ignore[assignment]
     if RETRIES in os.environ:
         job.LocalExecutorConfig = functools.partial(LocalExecutorConfig, retries=int(os.environ[RETRIES]))  # type: ignore[misc, assignment]
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from playlearn import cli
-from playlearn.collect import collect
+from playlearn.collection import collect
 from playlearn.errors import StoreError, UsageError
 from playlearn.store import NativeStore
 from tests.faults import point

@@ -13,7 +13,7 @@ from typing import IO, Any, Self
 import pytest
 
 from playlearn import cli
-from playlearn.collect import CollectConfig, collect
+from playlearn.collection import CollectConfig, collect
 from playlearn.config import save_config
 from playlearn.store import NativeStore
 from tests.faults import point

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from playlearn import cli
-from playlearn.collect import collect, episode_seed
+from playlearn.collection import collect, episode_seed
 from playlearn.store import NativeStore
 from tests.faults import point
 from tests.faults.command import contents, finish, start

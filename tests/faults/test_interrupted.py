@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from playlearn import cli
-from playlearn.collect import CollectConfig, collect
+from playlearn.collection import CollectConfig, collect
 from playlearn.config import save_config
 from playlearn.errors import StoreError
 from playlearn.store import NativeStore, StoreSpec

@@ -1,4 +1,4 @@
-"""Relabelled exports: every window ends in the goal that all of its frames carry."""
+"""Relabeled exports: every window ends in the goal that all of its frames carry."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ import pytest
 from playlearn.errors import UsageError
 from playlearn.lerobot.goals import RelabelConfig, Windows
 from playlearn.lerobot.share import contents, share
-from playlearn.relabel import RandomConfig, SettlingConfig, Table, UniformConfig
+from playlearn.relabeling import RandomConfig, RelabelIndex, SettlingConfig, UniformConfig
 from playlearn.store import NativeStore
 from tests.synthetic import ACHIEVED, make_store
 
@@ -23,7 +23,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> NativeStore:
 
 def test_windows_follow_each_other_and_end_in_their_goals(store: NativeStore) -> None:
     windows = Windows(store, RelabelConfig()).windows
-    table = Table.of_store(store, SettlingConfig())
+    table = RelabelIndex.of_store(store, SettlingConfig())
     for episode in range(3):
         own = [window for window in windows if window.episode == episode]
         assert own[0].begin == 0
@@ -61,7 +61,7 @@ def test_the_same_seed_gives_the_same_windows(store: NativeStore) -> None:
     assert drawn[0] == drawn[1] != drawn[2]
 
 
-def test_what_cannot_be_relabelled_is_said(store: NativeStore) -> None:
+def test_what_cannot_be_relabeled_is_said(store: NativeStore) -> None:
     with pytest.raises(UsageError, match="moments that no action leads to"):
         _ = Windows(store, RelabelConfig(goals=RandomConfig())).windows
     with pytest.raises(UsageError, match="no images of top; it has: front, wrist"):

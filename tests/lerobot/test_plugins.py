@@ -10,8 +10,8 @@ import torch
 
 from playlearn.config import from_dict
 from playlearn.errors import UsageError
-from playlearn.evaluate.suite import SuiteConfig, load_suite
-from playlearn.evaluate.tasks import TasksConfig
+from playlearn.evaluation.suite import SuiteConfig, load_suite
+from playlearn.evaluation.suites.tasks import TasksConfig
 from playlearn.lerobot.publish import export_policy
 from playlearn.policies import Policy, PolicyConfig, PolicySpec
 from playlearn.policies.execution import PolicyActor
@@ -23,13 +23,15 @@ if TYPE_CHECKING:
     from playlearn.lerobot.env import GoalEnv
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # what LeRobot and the packages below it warn of is theirs to mend
-SUITE = SuiteConfig(name="point", environment=PointConfig(), kind=TasksConfig(rest_seconds=0.2), max_steps=40, hold=2)
+SUITE = SuiteConfig(
+    name="point", environment=PointConfig(), kind=TasksConfig(rest_seconds=0.2), max_steps=40, success_hold_steps=2
+)
 SUITES = Path(__file__).parents[2] / "eval" / "suites"
 SIZES = {"front": (24, 32), "wrist": (16, 16)}
 
 
 @pytest.fixture
-def env() -> "GoalEnv":
+def their_env() -> "GoalEnv":
     return new_env()
 
 
@@ -43,8 +45,8 @@ def new_env() -> "GoalEnv":
 @pytest.fixture(scope="module", params=["state", "cnn"])
 def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An untrained policy for the point's world, which acts as surely as a trained one."""
-    world = PointConfig().build()
-    names = {name: getattr(world.spec, name) for name in ("state_names", "achieved_names", "action_names", "fps")}
+    env = PointConfig().build()
+    names = {name: getattr(env.spec, name) for name in ("state_names", "achieved_names", "action_names", "fps")}
     parts = {"encoder": small(request.param), "trunk": small("mlp"), "head": small("deterministic"), "chunk": 4}
     policy = from_dict(PolicyConfig, parts).build(PolicySpec(**names, cameras=SIZES), None, seed=0)
     folder = tmp_path_factory.mktemp("run")
@@ -52,10 +54,10 @@ def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     return folder
 
 
-def test_gymnasium_finds_nothing_to_blame(env: "GoalEnv") -> None:
+def test_gymnasium_finds_nothing_to_blame(their_env: "GoalEnv") -> None:
     from gymnasium.utils.env_checker import check_env
 
-    check_env(env, skip_render_check=True)
+    check_env(their_env, skip_render_check=True)
 
 
 @pytest.mark.slow
@@ -68,43 +70,43 @@ def test_gymnasium_finds_nothing_to_blame_in_our_worlds(name: str) -> None:
 
     if name.startswith("ogbench"):
         pytest.importorskip("ogbench", reason="the extra `ogbench` is not installed")
-    env = GoalEnv(load_suite(SUITES / f"{name}.yaml"))
-    check_env(env, skip_render_check=True)
-    env.close()
+    their_env = GoalEnv(load_suite(SUITES / f"{name}.yaml"))
+    check_env(their_env, skip_render_check=True)
+    their_env.close()
 
 
-def test_a_seed_is_the_number_of_a_suites_episode(env: "GoalEnv") -> None:
-    first, told = env.reset(seed=3)
+def test_a_seed_is_the_number_of_a_suites_episode(their_env: "GoalEnv") -> None:
+    first, told = their_env.reset(seed=3)
     again, _ = new_env().reset(seed=3)
     np.testing.assert_array_equal(first["environment_state"], again["environment_state"])
-    assert told["task"] == list(env.world.tasks)[3 % 2] == env.task.replace(" ", "_")
-    following, _ = env.reset()  # without a seed: the next
+    assert told["task"] == list(their_env.env.tasks)[3 % 2] == their_env.task.replace(" ", "_")
+    following, _ = their_env.reset()  # without a seed: the next
     np.testing.assert_array_equal(following["goal.state"], new_env().reset(seed=4)[0]["goal.state"])
     np.testing.assert_array_equal(following["environment_state"][3:], following["goal.state"])
     assert set(following["pixels"]) == {"front", "wrist", "goal_front", "goal_wrist"}
 
 
-def test_success_is_what_the_suite_calls_so(env: "GoalEnv") -> None:
-    env.reset(seed=0)
-    expert = point_expert(env.world)
-    setup = env._setup
+def test_success_is_what_the_suite_calls_so(their_env: "GoalEnv") -> None:
+    their_env.reset(seed=0)
+    expert = point_expert(their_env.env)
+    setup = their_env._setup
     assert setup is not None
     expert.reset([setup.goal], [0])
     ends = []
     while not ends or not (ends[-1][1] or ends[-1][2]):
-        action = expert.act([env.world.observe()], [True])[0].action
-        _, reward, terminated, truncated, told = env.step(action)
+        action = expert.act([their_env.env.observe()], [True])[0].action
+        _, reward, terminated, truncated, told = their_env.step(action)
         ends.append((reward, terminated, truncated, told["is_success"]))
     assert ends[-1] == (1.0, True, False, True)
     assert all(end == (0.0, False, False, False) for end in ends[:-1])
-    env.reset(seed=0)
-    ends = [env.step(np.zeros(3, np.float32))[1:4] for _ in range(40)]
+    their_env.reset(seed=0)
+    ends = [their_env.step(np.zeros(3, np.float32))[1:4] for _ in range(40)]
     assert ends == [(0.0, False, False)] * 39 + [(0.0, False, True)]  # the suite's budget
-    assert env.render().shape[0] == 24
+    assert their_env.render().shape[0] == 24
 
 
 @pytest.mark.slow
-def test_lerobots_loop_gives_what_ours_gives(run: Path, env: "GoalEnv", tmp_path: Path) -> None:
+def test_lerobots_loop_gives_what_ours_gives(run: Path, their_env: "GoalEnv", tmp_path: Path) -> None:
     import gymnasium as gym
     from lerobot.configs.policies import PreTrainedConfig
     from lerobot.policies.factory import get_policy_class, make_pre_post_processors
@@ -122,16 +124,16 @@ def test_lerobots_loop_gives_what_ours_gives(run: Path, env: "GoalEnv", tmp_path
     assert get_policy_class(config.type) is PlaylearnPolicy
     its = PlaylearnPolicy.from_pretrained(tmp_path / "out", config=config, strict=True)
     before, after = make_pre_post_processors(config, pretrained_path=str(tmp_path / "out"))
-    worlds = gym.vector.SyncVectorEnv([new_env] * 2)
+    envs = gym.vector.SyncVectorEnv([new_env] * 2)
     nothing = PolicyProcessorPipeline(steps=[])
-    done = lerobots(worlds, its, nothing, nothing, before, after, seeds=[0, 1])
+    done = lerobots(envs, its, nothing, nothing, before, after, seeds=[0, 1])
     policy = Policy.load(run / "policy")
     for number in (0, 1):
-        env.reset(seed=number)
-        setup = env._setup
+        their_env.reset(seed=number)
+        setup = their_env._setup
         assert setup is not None
-        actor = PolicyActor(policy, execute=2)
-        outcome = rollout([env.world], actor, [setup.goal], seeds=[number], max_steps=12)[0]
+        actor = PolicyActor(policy, n_action_steps=2)
+        outcome = rollout([their_env.env], actor, [setup.goal], seeds=[number], max_steps=12)[0]
         assert outcome.episode is not None
         # two rows there, one here: float32 sums in another order, over 12 steps
         np.testing.assert_allclose(done["action"][number][:12].numpy(), outcome.episode.action, atol=1e-4)
@@ -207,9 +209,9 @@ def test_it_learns_from_lerobots_batches(tmp_path: Path, monkeypatch: pytest.Mon
     # Eight frames in a row look alike, and their actions are noise: only what these have in common can be learned.
     assert losses[-1] < 0.9 * losses[0]
     assert all(isinstance(value, float) for value in parts.values())
-    # What it saw is what our own batch would have said: every image as it was, the normaliser with the data's mean.
+    # What it saw is what our own batch would have said: every image as it was, the normalizer with the data's mean.
     shown = policy._inputs(batch)
     np.testing.assert_array_equal(shown.images["front"][0, 0].numpy(), store.read(0).images["front"][0])
     mean = store.array(0, "observation.state")
-    assert np.abs(policy.policy.normaliser.get_buffer("state_mean").numpy() - mean.mean(axis=0)).max() < 0.2
+    assert np.abs(policy.policy.normalizer.get_buffer("state_mean").numpy() - mean.mean(axis=0)).max() < 0.2
     assert policy.predict_action_chunk(batch).shape == (8, 4, 4)

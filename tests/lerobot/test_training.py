@@ -14,9 +14,9 @@ from playlearn.errors import UsageError
 from playlearn.policies import Policy
 from playlearn.store import LeRobotStoreConfig, NativeStore, StoreSpec
 from playlearn.store.lerobot.export import export_lerobot
-from playlearn.train import TrainConfig, train
+from playlearn.training import TrainConfig, train
 from tests.synthetic import make_episode, make_store
-from tests.test_train import config
+from tests.training.test_train import config
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # what LeRobot and the packages below it warn of is theirs to mend
 
@@ -33,7 +33,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_it_teaches_the_very_same_policy(tmp_path: Path) -> None:
     store = make_store(tmp_path / "play", np.random.default_rng(0), 4, 200)
     export_lerobot(store, tmp_path / "exported")
-    plain = replace(config(tmp_path / "play"), steps=3, heldout_batches=0)
+    plain = replace(config(tmp_path / "play"), steps=3, val_batches=0)
     train(plain, tmp_path / "one")
     train(replace(plain, store=LeRobotStoreConfig(root=tmp_path / "exported")), tmp_path / "other")
     one, other = (load_file(tmp_path / run / "policy" / "policy.safetensors") for run in ("one", "other"))
@@ -52,7 +52,7 @@ def test_actions_in_units_of_their_own_are_not_clipped(tmp_path: Path) -> None:
         for episode in degrees:
             writer.append(episode)
     plain = config(tmp_path / "play")
-    train(replace(plain, steps=2, data=replace(plain.data, heldout_share=0)), tmp_path / "run")
+    train(replace(plain, steps=2, data=replace(plain.data, val_fraction=0)), tmp_path / "run")
     policy = Policy.load(tmp_path / "run" / "policy")
     assert not policy.spec.clipped
     data = plain.data.build(store, "train", 0)

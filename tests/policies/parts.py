@@ -41,7 +41,7 @@ SMALL: dict[str, dict[str, Any]] = {
     },
     "torchvision": {"name": "shufflenet_v2_x0_5", "features": 16, "hidden": 16},
     "diffusion": {"width": 32, "blocks": 2, "sample_steps": 3},
-    "autoregressive": {"bins": 16, "width": 16, "layers": 2, "heads": 2, "soft": 0.0},
+    "autoregressive": {"bins": 16, "width": 16, "layers": 2, "heads": 2, "label_smoothing_bins": 0.0},
     "cvae": {"hidden": 16, "latent": 4},
     "fast": {"vocabulary": 300, "width": 16, "layers": 1, "heads": 2},
     "flow": {"width": 32, "blocks": 2, "sample_steps": 3},
@@ -66,7 +66,7 @@ class Examples:
     achieved: torch.Tensor
     history_mask: torch.Tensor
     goal_achieved: torch.Tensor
-    goal_state: torch.Tensor
+    goal_proprio: torch.Tensor
     action: torch.Tensor
     action_mask: torch.Tensor
     images: Mapping[str, torch.Tensor] = field(default_factory=dict)
@@ -90,7 +90,7 @@ def policy(
     head_options: Mapping[str, Any] | None = None,
     goal_dropout: float = 0.1,
 ) -> Policy:
-    """A fresh one whose normaliser is no identity."""
+    """A fresh one whose normalizer is no identity."""
     config = from_dict(
         PolicyConfig,
         {
@@ -137,7 +137,7 @@ def examples(count: int = 5, history: int = 1, seed: int = 0) -> Examples:
         action_mask=torch.ones(count, H, dtype=torch.bool),
         images={"front": frames(count, history), "wrist": frames(count, history)},
         goal_images={"front": frames(count)},
-        goal_state=numbers(count, S),
+        goal_proprio=numbers(count, S),
     )
 
 

@@ -37,7 +37,7 @@ def test_a_saved_policy_acts_as_it_did(encoder: str, trunk: str, head: str, tmp_
 
 
 @every_kind
-def test_a_row_does_not_depend_on_its_neighbours(encoder: str, trunk: str, head: str) -> None:
+def test_a_row_does_not_depend_on_its_neighbors(encoder: str, trunk: str, head: str) -> None:
     made = policy(encoder, trunk, head).eval()
     batch = examples(4)
     together = made.act(batch, [generator(seed) for seed in range(4)], guidance=1.5)

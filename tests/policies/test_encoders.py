@@ -16,7 +16,7 @@ from playlearn.policies.encoders.objects import ObjectTokens
 from playlearn.policies.encoders.tokens import TokenPool
 from tests.policies.parts import ENCODERS, SPEC, Examples, examples, generator, policy
 
-ESTIMATE = {"auxiliary": {"achieved": 1.0}, "feed_estimate": True}
+ESTIMATE = {"state_supervision": 1.0, "use_estimated_state": True}
 
 
 @pytest.mark.parametrize("fusion", ["early", "late"])
@@ -35,7 +35,7 @@ def test_a_withheld_goal_leaves_no_trace(encoder: str) -> None:
     batch, other = examples(), examples(seed=3)
     elsewhere = dataclasses.replace(batch, goal_achieved=other.goal_achieved, goal_images=other.goal_images)
     keep = torch.zeros(5, dtype=torch.bool)
-    one, two = (made.encoder(made._normalised(inputs), keep) for inputs in (batch, elsewhere))
+    one, two = (made.encoder(made._normalized(inputs), keep) for inputs in (batch, elsewhere))
     assert torch.equal(one.goal, two.goal)
     assert torch.equal(one.steps, two.steps)
 
@@ -54,7 +54,7 @@ def test_the_auxiliary_loss_shapes_the_estimate_and_the_policy_only_if_told() ->
         made = policy("cnn", encoder_options={**ESTIMATE, "detach_estimate": detached})
         batch = examples()
         keep = torch.ones(5, dtype=torch.bool)
-        features, extra = made._features(made._normalised(batch), keep, None)
+        features, extra = made._features(made._normalized(batch), keep, None)
         features.square().sum().backward(retain_graph=True)
         layers = list(made.encoder.estimate.parameters())
         assert all(p.grad is None for p in layers) == detached
@@ -80,7 +80,7 @@ def test_goal_names_choose_what_a_goal_speaks_of() -> None:
     [
         ({"cameras": ["wrist"]}, "goal_camera 'front' is not among"),
         ({"cameras": ["front", "side"]}, "wants camera 'side'"),
-        ({"feed_estimate": True}, "needs encoder.auxiliary.achieved above 0"),
+        ({"use_estimated_state": True}, "needs encoder.state_supervision above 0"),
     ],
 )
 def test_a_config_that_cannot_be_built_says_why(options: dict[str, object], message: str) -> None:
@@ -118,8 +118,8 @@ def test_a_shift_moves_all_frames_of_an_example_alike() -> None:
     place = torch.arange(16 * 16, dtype=torch.int32).view(1, 1, 16, 16, 1).expand(64, 2, 16, 16, 1)
     moved = random_shift(place.contiguous(), 2, generator())
     assert torch.equal(moved[:, 0], moved[:, 1])
-    centre = moved[:, 0, 8, 8, 0] - place[0, 0, 8, 8, 0]
-    down, right = torch.div(centre + 2, 16, rounding_mode="floor"), (centre + 2) % 16 - 2
+    center = moved[:, 0, 8, 8, 0] - place[0, 0, 8, 8, 0]
+    down, right = torch.div(center + 2, 16, rounding_mode="floor"), (center + 2) % 16 - 2
     assert set(down.tolist()) == set(right.tolist()) == {-2, -1, 0, 1, 2}
 
 
@@ -180,7 +180,7 @@ def test_an_object_token_knows_of_itself_and_the_hand_alone() -> None:
 def test_the_cameras_that_are_fed_must_be_there_and_show_a_goal() -> None:
     with pytest.raises(UsageError, match="'side' is not among"):
         policy("cnn", encoder_options={"feed_cameras": ["side"]})
-    with pytest.raises(UsageError, match="feed_estimate"):
+    with pytest.raises(UsageError, match="use_estimated_state"):
         policy("cnn", encoder_options={"feed_cameras": ["wrist"]})
     fed = policy("cnn", encoder_options={**ESTIMATE, "fusion": "late", "feed_cameras": ["wrist"]})
     assert set(fed.encoder.project) == {"wrist"}
@@ -194,7 +194,7 @@ def test_a_goal_changes_nothing_of_what_is_looked_at_until_something_is_learned(
     keep = torch.ones(5, dtype=torch.bool)
 
     def steps(inputs: Examples) -> torch.Tensor:
-        return made.encoder(made._normalised(inputs), keep).steps
+        return made.encoder(made._normalized(inputs), keep).steps
 
     assert torch.equal(steps(batch), steps(elsewhere))
     optimizer = torch.optim.SGD(made.parameters(), lr=0.1)

@@ -57,13 +57,13 @@ def stand_in() -> Any:
 
 
 def test_a_few_actions_of_each_chunk_are_executed() -> None:
-    taken = drive(PolicyActor(stand_in(), execute=2), 5)[:, 0, 0]
+    taken = drive(PolicyActor(stand_in(), n_action_steps=2), 5)[:, 0, 0]
     np.testing.assert_allclose(taken, [0.010, 0.011, 0.020, 0.021, 0.030], atol=1e-6)
 
 
 def test_ensembling_averages_all_plans_for_a_moment() -> None:
     """At moment 1 the first plan says 0.011 (weight 1, the oldest), the second 0.020 (weight exp(-0.5))."""
-    taken = drive(PolicyActor(stand_in(), execute=4, ensemble=0.5), 2)[:, 0, 0]
+    taken = drive(PolicyActor(stand_in(), n_action_steps=4, ensemble=0.5), 2)[:, 0, 0]
     weight = np.exp(-0.5)
     np.testing.assert_allclose(taken, [0.010, (0.011 + weight * 0.020) / (1 + weight)], atol=1e-6)
 
@@ -71,7 +71,7 @@ def test_ensembling_averages_all_plans_for_a_moment() -> None:
 def test_a_history_begins_by_repeating_its_first_observation() -> None:
     counting = stand_in()
     counting.config = policy(history=3).config
-    drive(PolicyActor(counting, execute=1), 4)
+    drive(PolicyActor(counting, n_action_steps=1), 4)
     masks = [inputs.history_mask[0].tolist() for inputs in counting.seen]
     assert masks == [[False, False, True], [False, True, True], [True, True, True], [True, True, True]]
     first, last = counting.seen[0].state[0], counting.seen[3].state[0]
@@ -82,7 +82,7 @@ def test_a_history_begins_by_repeating_its_first_observation() -> None:
 @pytest.mark.parametrize("encoder", ["state", "cnn"])
 def test_what_one_environment_gets_does_not_depend_on_the_others(encoder: str) -> None:
     """Row 0 with a companion that stops early gets the bits it gets with one that goes on."""
-    actor = PolicyActor(policy(encoder, head="diffusion", history=2), execute=2)
+    actor = PolicyActor(policy(encoder, head="diffusion", history=2), n_action_steps=2)
 
     def row_zero(companion_runs: int, companion_seed: int) -> np.ndarray:
         mine, theirs = np.random.default_rng(0), np.random.default_rng(companion_seed)
@@ -101,7 +101,7 @@ def test_what_one_environment_gets_does_not_depend_on_the_others(encoder: str) -
 
 
 def test_an_episode_is_a_function_of_its_seed() -> None:
-    actor = PolicyActor(policy(head="diffusion"), execute=2)
+    actor = PolicyActor(policy(head="diffusion"), n_action_steps=2)
     first = drive(actor, 4, rows=2)
     assert np.array_equal(first, drive(actor, 4, rows=2))
     rng = np.random.default_rng(0)
@@ -115,8 +115,8 @@ def test_an_episode_is_a_function_of_its_seed() -> None:
 def test_a_plan_keeps_its_luck_for_as_long_as_the_head_says() -> None:
     """The same is seen at every step, so only luck can change what is done: here with every third chunk."""
     made = policy(head="diffusion")
-    made.head.keep = 3
-    actor, rng = PolicyActor(made, execute=1), np.random.default_rng(0)
+    made.head.noise_repeat = 3
+    actor, rng = PolicyActor(made, n_action_steps=1), np.random.default_rng(0)
     actor.reset([goal(rng)], [0])
     seen = observation(rng)
     done = [tuple(actor.act([seen], [True])[0].action.tolist()) for _ in range(9)]
@@ -128,7 +128,10 @@ def test_what_it_does_not_ask_to_see_changes_nothing(history: int) -> None:
     """Two rows, of which the second ends at step 3, between two plans: with all frames, and with those asked for."""
 
     def actions(*, hide: bool) -> tuple[list[list[float]], list[tuple[str, ...]]]:
-        rng, actor = np.random.default_rng(0), PolicyActor(policy("cnn", head="flow", history=history), execute=4)
+        rng, actor = (
+            np.random.default_rng(0),
+            PolicyActor(policy("cnn", head="flow", history=history), n_action_steps=4),
+        )
         actor.reset([goal(rng), goal(rng)], [0, 1])
         taken, asked = [], []
         for step in range(9):
@@ -147,11 +150,11 @@ def test_what_it_does_not_ask_to_see_changes_nothing(history: int) -> None:
 
 def test_goals_and_settings_are_checked() -> None:
     with pytest.raises(UsageError, match="between 1 and the policy's chunk of 4, got 5"):
-        PolicyActor(policy(), execute=5)
-    actor = PolicyActor(policy("cnn"), execute=2)
+        PolicyActor(policy(), n_action_steps=5)
+    actor = PolicyActor(policy("cnn"), n_action_steps=2)
     with pytest.raises(UsageError, match="'front' image, and there is none"):
         actor.reset([Goal(np.zeros(G, np.float32))], [0])
     with pytest.raises(UsageError, match="needs a goal"):
-        PolicyActor(policy(), execute=2).reset([None], [0])
+        PolicyActor(policy(), n_action_steps=2).reset([None], [0])
     assert actor.cameras == ("front", "wrist")
-    assert PolicyActor(policy(), execute=2).cameras == ()
+    assert PolicyActor(policy(), n_action_steps=2).cameras == ()

@@ -13,7 +13,7 @@ from playlearn.policies import EncoderConfig, PolicyActor
 from playlearn.policies.encoders.cameras import CamerasConfig
 from tests.policies.parts import ENCODERS, SPEC, Examples, G, S, examples, generator, policy
 
-ESTIMATE = {"auxiliary": {"achieved": 1.0}, "feed_estimate": True}
+ESTIMATE = {"state_supervision": 1.0, "use_estimated_state": True}
 LOOKING = [kind for kind in ENCODERS if issubclass(EncoderConfig.get_choice_class(kind), CamerasConfig)]
 FUSED = [("cnn", {"fusion": "early"}), ("cnn", {"fusion": "late"}), ("cnn", ESTIMATE)]
 FUSED = [*FUSED, ("cnn", {"fusion": "late", **ESTIMATE}), *((kind, {}) for kind in LOOKING if kind != "cnn")]
@@ -74,16 +74,16 @@ def test_training_shows_a_share_of_images(encoder: str, options: dict[str, Any])
         1.0: dataclasses.replace(batch, goal_achieved=elsewhere.goal_achieved),
     }
     for share, other in others.items():
-        made = policy(encoder, encoder_options={**options, "goal": "both", "picture_share": share}, goal_dropout=0.0)
+        made = policy(encoder, encoder_options={**options, "goal": "both", "image_goal_prob": share}, goal_dropout=0.0)
         first, second = (made(one, generator())[1]["head"] for one in (batch, other))
         assert torch.equal(first, second)
-        opposite = policy(encoder, encoder_options={**options, "goal": "both", "picture_share": 1 - share})
+        opposite = policy(encoder, encoder_options={**options, "goal": "both", "image_goal_prob": 1 - share})
         assert not torch.equal(opposite(batch, generator())[1]["head"], opposite(other, generator())[1]["head"])
 
 
 def test_the_share_of_images_is_what_was_asked_for() -> None:
     """Of 4,000 examples 1,000 +- 27 (one standard deviation) are shown an image at a share of a quarter."""
-    config = policy("cnn", encoder_options={"goal": "both", "picture_share": 0.25}).config.encoder
+    config = policy("cnn", encoder_options={"goal": "both", "image_goal_prob": 0.25}).config.encoder
     assert isinstance(config, CamerasConfig)
     many = examples(4000)
     assert config.pictured(many, generator()).sum().item() == pytest.approx(1000, abs=4 * 27)
@@ -92,9 +92,9 @@ def test_the_share_of_images_is_what_was_asked_for() -> None:
 
 def test_a_goal_of_the_arm_is_read_where_it_was_asked_for() -> None:
     batch = examples()
-    elsewhere = dataclasses.replace(batch, goal_state=examples(seed=3).goal_state)
+    elsewhere = dataclasses.replace(batch, goal_proprio=examples(seed=3).goal_proprio)
     for arm in (False, True):
-        made = policy(encoder_options={"goal_arm": arm}).eval()
+        made = policy(encoder_options={"goal_proprio": arm}).eval()
         assert torch.equal(made.act(batch, generator()), made.act(elsewhere, generator())) != arm
         forgot = made.act(batch, generator(), guidance=0.0)
         assert torch.equal(made.act(elsewhere, generator(), guidance=0.0), forgot)
@@ -105,12 +105,12 @@ def test_an_actor_shows_a_policy_the_goal_it_is_told_to() -> None:
     whole = Goal(np.zeros(G, np.float32), frames, np.zeros(S, np.float32))
     blind = dataclasses.replace(whole, images={})
     both = policy("cnn", encoder_options={"goal": "both"})
-    PolicyActor(both, execute=2, goal="state").reset([blind], [0])
+    PolicyActor(both, n_action_steps=2, goal="state").reset([blind], [0])
     with pytest.raises(UsageError, match="'front' image, and there is none"):
-        PolicyActor(both, execute=2, goal="image").reset([blind], [0])
+        PolicyActor(both, n_action_steps=2, goal="image").reset([blind], [0])
     with pytest.raises(UsageError, match="from state, not from image"):
-        PolicyActor(policy(), execute=2, goal="image")
+        PolicyActor(policy(), n_action_steps=2, goal="image")
     bodiless = dataclasses.replace(whole, state=None)
-    PolicyActor(policy(), execute=2).reset([bodiless], [0])
+    PolicyActor(policy(), n_action_steps=2).reset([bodiless], [0])
     with pytest.raises(UsageError, match="say where the arm is"):
-        PolicyActor(policy(encoder_options={"goal_arm": True}), execute=2).reset([bodiless], [0])
+        PolicyActor(policy(encoder_options={"goal_proprio": True}), n_action_steps=2).reset([bodiless], [0])

@@ -85,9 +85,11 @@ MULTIMODAL = {
     "flow": FlowConfig(width=64, blocks=2, sample_steps=20),
     "mixture": MixtureConfig(components=3, hidden=32),
     "logistic": LogisticConfig(components=3, bins=32, hidden=32),
-    "autoregressive": AutoregressiveConfig(bins=32, width=32, layers=1, soft=0.0),
+    "autoregressive": AutoregressiveConfig(bins=32, width=32, layers=1, label_smoothing_bins=0.0),
     "fast": FastConfig(vocabulary=300, width=32, layers=1),
-    "autoregressive, a step at a time": AutoregressiveConfig(bins=32, order="step", width=32, layers=1, soft=0.0),
+    "autoregressive, a step at a time": AutoregressiveConfig(
+        bins=32, order="step", width=32, layers=1, label_smoothing_bins=0.0
+    ),
 }
 
 
@@ -126,7 +128,7 @@ def test_one_gaussian_averages_two_modes() -> None:
 
 LIKELY = {
     "gaussian": GaussianConfig(hidden=8),
-    "mixture": MixtureConfig(components=3, hidden=8, spread=(0.2, 0.8)),
+    "mixture": MixtureConfig(components=3, hidden=8, std_range=(0.2, 0.8)),
     "logistic": LogisticConfig(components=3, bins=20, hidden=8),
     "autoregressive": AutoregressiveConfig(bins=20, width=16, layers=1, top_p=1.0),
 }
@@ -251,8 +253,8 @@ def test_the_bins_of_a_logistic_share_one_out() -> None:
     data = torch.rand(200, 1, 2, generator=generator()) * torch.tensor([1.0, 3.0]) - 0.5
     for spread in ((0.001, 0.002), (0.5, 1.0), (50.0, 60.0)):
         torch.manual_seed(0)
-        head = LogisticConfig(components=3, bins=12, hidden=8, spread=spread).build(4, 1, 2).double()
-        head.fit(data.double())
+        head = LogisticConfig(components=3, bins=12, hidden=8, scale_range=spread).build(4, 1, 2).double()
+        head.fit_action_statistics(data.double())
         low, width = head.law.get_buffer("low"), head.law.get_buffer("width")
         middles = low + (torch.arange(12)[:, None] + 0.5) * width  # (12, 2)
         grid = torch.cartesian_prod(middles[:, 0], middles[:, 1]).unsqueeze(1)  # (144, 1, 2)
@@ -269,7 +271,7 @@ def test_the_bins_of_a_logistic_share_one_out() -> None:
 def test_made_words_and_numbers_again_an_action_is_at_most_half_a_bin_off(binning: str) -> None:
     head = AutoregressiveConfig(bins=16, binning=binning, width=8, layers=1, heads=1).build(4, 3, 2)  # type: ignore[arg-type]
     chunk = torch.randn(50, 3, 2, generator=generator()) * torch.tensor([1.0, 0.2])
-    head.fit(chunk)
+    head.fit_action_statistics(chunk)
     tokens = head.tokens(chunk)
     edges = head.get_buffer("edges")
     width = (edges[:, 1:] - edges[:, :-1])[torch.arange(2), tokens]
@@ -304,9 +306,9 @@ def test_a_sentence_is_the_chunk_to_its_rounding_and_shorter_than_its_numbers() 
     """
     head = FastConfig(width=8, layers=1, heads=1).build(4, 16, 3)
     chunk = smooth(500, 16, 3)
-    assert head.sentences(chunk).shape == (500, 16 * 3 + 1)
-    head.fit(chunk)
-    said = head.sentences(chunk)
+    assert head.token_ids_of(chunk).shape == (500, 16 * 3 + 1)
+    head.fit_action_statistics(chunk)
+    said = head.token_ids_of(chunk)
     off = (head.numbers(said) - chunk).flatten(1).norm(dim=1)
     assert off.max() <= (16 * 3) ** 0.5 / 20 + 1e-4
     assert (said != head.end).sum(1).float().mean() < 16 * 3 / 2
@@ -314,7 +316,7 @@ def test_a_sentence_is_the_chunk_to_its_rounding_and_shorter_than_its_numbers() 
 
 def test_a_sentence_that_says_too_little_or_too_much_still_is_a_chunk() -> None:
     head = FastConfig(width=8, layers=1, heads=1).build(4, 4, 2)
-    zero = head.sentences(torch.zeros(1, 4, 2))[:, :1]
+    zero = head.token_ids_of(torch.zeros(1, 4, 2))[:, :1]
     nothing, much = torch.full((1, 1), head.end), zero.repeat(1, 30)
     for said in (nothing, much):
         assert torch.equal(head.numbers(said), torch.zeros(1, 4, 2))
@@ -324,7 +326,7 @@ def test_sentences_are_saved_with_the_weights_and_said_with_a_cache_as_without()
     torch.manual_seed(1)
     config = FastConfig(vocabulary=300, width=16, layers=2, heads=2)
     head, other = config.build(4, 8, 2), config.build(4, 8, 2)
-    head.fit(smooth(200, 8, 2))
+    head.fit_action_statistics(smooth(200, 8, 2))
     other.load_state_dict(head.state_dict())
     features, words = torch.randn(5, 4, generator=generator()), []
     heard = other.numbers
@@ -332,13 +334,13 @@ def test_sentences_are_saved_with_the_weights_and_said_with_a_cache_as_without()
     with torch.no_grad():
         assert torch.equal(other.mode(features), head.mode(features))
         said = words[0]
-        before = torch.nn.functional.pad(other.told(said[:, :-1]), (0, 0, 1, 0))
-        hidden = other.enter(features).unsqueeze(1) + other.places[: said.shape[1]] + before
-        assert torch.equal(other.leave(other.decoder(hidden)).argmax(-1), said)
+        before = torch.nn.functional.pad(other.token_embedding(said[:, :-1]), (0, 0, 1, 0))
+        hidden = other.in_proj(features).unsqueeze(1) + other.pos_embedding[: said.shape[1]] + before
+        assert torch.equal(other.out_proj(other.decoder(hidden)).argmax(-1), said)
 
 
 @pytest.mark.slow
-def test_a_proposed_plan_is_one_that_was_recognised() -> None:
+def test_a_proposed_plan_is_one_that_was_recognized() -> None:
     """With two answers in the data, its draws lead to both, in their shares, and seldom to what is between."""
     head = taught_two_modes(LatentPlanConfig(latent=2, hidden=32, kl=0.1), updates=1000)
     with torch.no_grad():

@@ -12,7 +12,7 @@ from playlearn.policies.encoders.keypoints import Glimpses, cell_centers, heatma
 from playlearn.policies.inputs import placed_objects
 from tests.policies.parts import S, examples, generator, policy
 
-SEEING = {"fusion": "late", "auxiliary": {"achieved": 1.0}, "feed_estimate": True, "feed_cameras": []}
+SEEING = {"fusion": "late", "state_supervision": 1.0, "use_estimated_state": True, "feed_cameras": []}
 PLACED = PolicySpec(
     state_names=tuple(f"state.{i}" for i in range(S)),
     achieved_names=("red.x", "red.y", "red.z", "lamp"),
@@ -94,7 +94,7 @@ def test_a_glimpse_tells_where_it_was_taken_and_only_of_its_own_square() -> None
 
 def test_glimpses_are_learned_with_the_estimate() -> None:
     ours = policy("keypoints", encoder_options={**SEEING, "glimpse": 8})
-    ours.learning(("encoder.front.*",))
+    ours.freeze_except(("encoder.front.*",))
     ours(examples(), generator())[0].backward()
     for name, parameter in ours.encoder.front.glimpses.named_parameters():
         assert parameter.grad.abs().sum() > 0, name
@@ -106,7 +106,7 @@ def test_an_encoder_alone_gets_the_gradient_it_would_get_in_the_whole_policy() -
     patterns = ("encoder.front.*", "encoder.others.*", "encoder.estimate.*")
     for kind in ("cnn", "keypoints"):
         whole, alone = (policy(kind, encoder_options=SEEING, goal_dropout=0.0) for _ in range(2))
-        alone.learning(patterns)
+        alone.freeze_except(patterns)
         assert whole.acting_learns
         assert not alone.acting_learns
         whole(batch, generator())[0].backward()
@@ -122,7 +122,7 @@ def test_an_encoder_alone_gets_the_gradient_it_would_get_in_the_whole_policy() -
 def test_a_head_that_learns_from_features_is_trained_with_them() -> None:
     """Where the policy sees a camera's features its loss teaches the images, so nothing of it may be left out."""
     ours = policy("cnn", encoder_options={**SEEING, "feed_cameras": ["wrist"]})
-    ours.learning(("encoder.front.*", "encoder.others.*"))
+    ours.freeze_except(("encoder.front.*", "encoder.others.*"))
     assert ours.acting_learns
 
 
@@ -133,7 +133,7 @@ def test_an_observation_that_is_its_own_goal_is_seen_once_and_tells_the_same() -
     apart = replace(batch, goal_images={"front": batch.images["front"][:, 0].clone()})
     looks = []
     ours.encoder.front.register_forward_pre_hook(lambda _, inputs: looks.append(len(inputs[0])))
-    one, other = (ours.encoder.perceive(ours._normalised(b)) for b in (same, apart))
+    one, other = (ours.encoder.perceive(ours._normalized(b)) for b in (same, apart))
     assert looks == [3, 6]
     torch.testing.assert_close(one.observed, other.observed)
     torch.testing.assert_close(one.wanted, other.wanted)

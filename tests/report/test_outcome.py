@@ -9,7 +9,7 @@ from playlearn.report.outcome import Outcome
 
 def outcome(*losses: float, first_at: int = 0, of_steps: int = 0) -> Outcome:
     """Of a run whose held-out loss was measured every 100 updates."""
-    lines = [{"step": 100 * i + first_at, "heldout/loss": loss} for i, loss in enumerate(losses)]
+    lines = [{"step": 100 * i + first_at, "val/loss": loss} for i, loss in enumerate(losses)]
     steps = 100 * (len(losses) - 1) + first_at
     return Outcome.of([{"step": 1, "train/loss": 9.0}, *lines], steps, of_steps or steps, 61.234)
 
@@ -24,10 +24,10 @@ def test_a_run_that_learned_says_where_its_loss_was() -> None:
         "steps": 200,
         "of_steps": 200,
         "seconds": 61.23,
-        "heldout_loss_first": 1.0,
+        "val_loss_first": 1.0,
         "first_at": 0,
-        "heldout_loss_last": 0.5,
-        "heldout_loss_least": 0.4,
+        "val_loss_last": 0.5,
+        "val_loss_least": 0.4,
         "least_at": 100,
     }
 
@@ -47,7 +47,7 @@ def test_one_that_did_not_says_what_is_likely(losses: tuple[float, ...], words: 
     assert complaint is not None
     assert words in complaint
     assert f"after {one.steps} of {one.steps} updates" in complaint
-    assert math.isfinite(one.numbers()["heldout_loss_least"] or 0.0)
+    assert math.isfinite(one.numbers()["val_loss_least"] or 0.0)
 
 
 def test_one_whose_loss_came_down_and_rose_again_has_learned_something() -> None:
@@ -63,7 +63,7 @@ def test_one_that_ran_out_of_minutes_says_how_far_it_came() -> None:
     assert "after 100 of 10000 updates (61 s): the result will be worse" in said[0]
 
 
-def test_where_the_beginning_is_not_known_there_is_no_judgement() -> None:
+def test_where_the_beginning_is_not_known_there_is_no_judgment() -> None:
     """Runs of before there was an evaluation at step 0, and runs that hold nothing out."""
     old = outcome(0.3, 0.4, first_at=100)
     assert old.complaint() is None
@@ -71,4 +71,4 @@ def test_where_the_beginning_is_not_known_there_is_no_judgement() -> None:
     none = Outcome.of([{"step": 1, "train/loss": 9.0}], 5, 5, 1.0)
     assert none.complaint() is None
     assert none.summary() == []
-    assert none.numbers()["heldout_loss_first"] is None
+    assert none.numbers()["val_loss_first"] is None

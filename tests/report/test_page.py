@@ -14,7 +14,7 @@ from PIL import Image
 from playlearn.report.intervals import wilson
 from playlearn.report.page import Shown, page
 from playlearn.report.pictures import beside, draw, encode_film
-from tests.fakes import PointConfig, PointWorld
+from tests.fakes import PointConfig, PointEnv
 
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
 CHROMIUM = shutil.which("chromium")
@@ -47,22 +47,22 @@ RESULTS: dict[str, Any] = {
     "versions": {"playlearn": "0"},
     "revision": None,
     "policy": {"name": "policy", "type": "trained", "run": "runs/<script>alert(1)</script>"},
-    "config": {"hold": 5, "max_steps": 60, "kind": {"type": "tasks"}},
+    "config": {"success_hold_steps": 5, "max_steps": 60, "kind": {"type": "tasks"}},
     "seconds": 12.0,
 }
 CURVES = {"policy": [0.0, 0.2, 0.46], "expert": [0.0, 0.5, 1.0], "random": [0.0, 0.0, 0.08]}
 
 
 def shown() -> list[Shown]:
-    world = PointWorld(PointConfig())
+    env = PointEnv(PointConfig())
     items = []
     for episode, success in enumerate((True, False, False)):
-        world.reset(episode)
-        states = [np.array(world.sim_state())]
+        env.reset(episode)
+        states = [np.array(env.sim_state())]
         for _ in range(12):
-            world.step(np.array([0.5, 0.2, 0.0]))
-            states.append(np.array(world.sim_state()))
-        pictures = draw(world, np.stack(states), states[-1], "front", 96, film=episode < 2)
+            env.step(np.array([0.5, 0.2, 0.0]))
+            states.append(np.array(env.sim_state()))
+        pictures = draw(env, np.stack(states), states[-1], "front", 96, film=episode < 2)
         reason = "reached" if success else "the puck fell off the table"
         items.append(Shown(episode, "lamp_on", success, reason, 12, pictures))
     return items

@@ -10,8 +10,8 @@ import pytest
 
 from playlearn.episode import Array, Episode, EpisodeMeta
 from playlearn.errors import UsageError
-from playlearn.relabel import SettlingConfig, Table
-from playlearn.report.play import Attempt, attempts, figures
+from playlearn.relabeling import RelabelIndex, SettlingConfig
+from playlearn.report.play import SkillAttempt, attempts, figures
 from playlearn.store import NativeStore, StoreSpec
 from tests.synthetic import make_episode, make_store
 
@@ -55,21 +55,21 @@ def stored(path: Path, *episodes: Episode) -> NativeStore:
 
 def test_an_attempt_is_a_skill_from_its_first_step_to_its_last(tmp_path: Path) -> None:
     """Marks do not part an attempt; giving up and doing it again do. What the end cuts has not failed."""
-    said = ["lift", "lift:mistake", "lift", "place:planned", "place:planned:gave_up", "place", "place:again"]
+    said = ["lift", "lift:mistake", "lift", "place:open_loop", "place:open_loop:gave_up", "place", "place:again"]
     found = attempts(stored(tmp_path / "play", episode(said)))
     assert found == [
-        Attempt(0, 0, 3, "lift", frozenset({"mistake"}), cut=False),
-        Attempt(0, 3, 5, "place", frozenset({"planned", "gave_up"}), cut=False),
-        Attempt(0, 5, 6, "place", frozenset(), cut=False),
-        Attempt(0, 6, 7, "place", frozenset(), cut=True),
+        SkillAttempt(0, 0, 3, "lift", frozenset({"mistake"}), cut=False),
+        SkillAttempt(0, 3, 5, "place", frozenset({"open_loop", "gave_up"}), cut=False),
+        SkillAttempt(0, 5, 6, "place", frozenset(), cut=False),
+        SkillAttempt(0, 6, 7, "place", frozenset(), cut=True),
     ]
     told = figures(stored(tmp_path / "again", episode(said)))
     assert told["attempts"] == {"count": 4, "reached": 2, "failed": 1, "cut": 1}
     assert told["mishaps"]["mistake"] == {"count": 1, "reached": 1, "failed": 0, "cut": 0}
-    assert told["skills"]["place"]["marks"]["planned"] == 1
+    assert told["skills"]["place"]["marks"]["open_loop"] == 1
     assert told["store"]["skills"] == {"lift": 1, "place": 1}, "`playlearn info` names skills, not marks"
     assert told["skills"]["place"]["seconds"]["high"] == pytest.approx(0.2), "two steps at 10 Hz"
-    assert told["steps"] == pytest.approx({"mistake": 1 / 7, "planned": 2 / 7})
+    assert told["steps"] == pytest.approx({"mistake": 1 / 7, "open_loop": 2 / 7})
 
 
 @pytest.mark.parametrize(
@@ -89,10 +89,10 @@ def test_a_grasp_is_missed_where_fingers_close_on_nothing_and_open_again(
     assert ("missed_grasp" in attempts(store)[0].marks) == missed
 
 
-def test_changes_are_those_of_relabelling(tmp_path: Path) -> None:
+def test_changes_are_those_of_relabeling(tmp_path: Path) -> None:
     store = make_store(tmp_path / "play", np.random.default_rng(0), episodes=3)
     told = figures(store)
-    table = Table.of_store(store, SettlingConfig())
+    table = RelabelIndex.of_store(store, SettlingConfig())
     assert {name: row["count"] for name, row in told["changes"].items()} == table.change_counts()
     assert told["settled"]["moments"] == len(table.moments) > 5
     # Three episodes of 200 steps at 20 Hz are half a minute.

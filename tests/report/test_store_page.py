@@ -15,19 +15,19 @@ from PIL import Image
 
 from playlearn import cli
 from playlearn.errors import RenderError, UsageError
-from playlearn.report.play import Attempt, figures
+from playlearn.report.play import SkillAttempt, figures
 from playlearn.report.store_page import HEIGHT, WIDTH, heat_map, outline
 from playlearn.report.store_report import write_report
-from playlearn.report.strips import COLOURS, FRAMES, choose, picture, stored_look, strips
+from playlearn.report.strips import COLORS, FRAMES, choose, picture, stored_look, strips
 from playlearn.rollout import rollout
 from playlearn.sim import Environment
 from playlearn.store import NativeStore, StoreSpec
-from tests.fakes import PointConfig, PointPlayer, PointWorld
+from tests.fakes import PointConfig, PointEnv, PointPlayPolicy
 from tests.synthetic import make_episode, make_store
 
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
 CHROMIUM = shutil.which("chromium")
-SKILLS = ("push <red>", "open drawer:planned:mistake", "flip lamp:slip")
+SKILLS = ("push <red>", "open drawer:open_loop:mistake", "flip lamp:slip")
 
 
 def nobody() -> Environment:
@@ -125,10 +125,10 @@ def test_the_card_is_one_that_the_hub_reads(written: Path, store: NativeStore) -
 def test_a_sheet_is_small_and_shows_the_stripes(written: Path) -> None:
     data = (written / "play.png").read_bytes()
     assert len(data) < 300_000
-    colours = {colour for _, colour in Image.open(io.BytesIO(data)).convert("RGB").getcolors(1 << 20) or []}
+    colors = {color for _, color in Image.open(io.BytesIO(data)).convert("RGB").getcolors(1 << 20) or []}
     for mark in ("slip", "mistake", ""):
-        # A palette of 256 may move a colour a little.
-        assert min(np.abs(np.subtract(colour, COLOURS[mark])).max() for colour in colours) < 12, mark
+        # A palette of 256 may move a color a little.
+        assert min(np.abs(np.subtract(color, COLORS[mark])).max() for color in colors) < 12, mark
 
 
 def test_a_strip_shows_its_own_attempt_from_first_to_last(store: NativeStore) -> None:
@@ -143,21 +143,21 @@ def test_a_strip_shows_its_own_attempt_from_first_to_last(store: NativeStore) ->
 
 def test_every_mark_that_occurs_is_chosen_once_before_any_twice() -> None:
     marks = [frozenset[str]()] * 30 + [frozenset({"slip"})] * 3 + [frozenset({"mistake"})]
-    tried = [Attempt(k, 0, FRAMES, "x", own, cut=False) for k, own in enumerate(marks)]
+    tried = [SkillAttempt(k, 0, FRAMES, "x", own, cut=False) for k, own in enumerate(marks)]
     chosen = choose(tried, 4, np.random.default_rng(0))
     assert sorted(sorted(one.marks) for one in chosen) == [[], ["mistake"], ["slip"], ["slip"]]
     assert len(choose(tried, 100, np.random.default_rng(0))) == 34
 
 
 def test_states_are_drawn_where_no_images_were_recorded(tmp_path: Path) -> None:
-    world = PointWorld(PointConfig())
-    world.reset(0)
-    outcome = rollout([world], PointPlayer(), [None], seeds=[0], max_steps=80)[0]
+    env = PointEnv(PointConfig())
+    env.reset(0)
+    outcome = rollout([env], PointPlayPolicy(), [None], seeds=[0], max_steps=80)[0]
     assert outcome.episode is not None
     store = NativeStore.create(tmp_path / "play", StoreSpec.of(outcome.episode))
     with store.writer() as writer:
         writer.append(outcome.episode)
-    write_report(store, tmp_path / "drawn.html", lambda: PointWorld(PointConfig()))
+    write_report(store, tmp_path / "drawn.html", lambda: PointEnv(PointConfig()))
     assert 'id="moments"' in (tmp_path / "drawn.html").read_text()
 
 

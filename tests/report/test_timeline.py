@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from playlearn.errors import StoreError
-from playlearn.relabel import SettlingConfig, Table
+from playlearn.relabeling import RelabelIndex, SettlingConfig
 from playlearn.report.timeline import FRAMES, drawing, timeline
 from playlearn.report.view import view_episode
 from playlearn.store import NativeStore, StoreSpec
@@ -21,7 +21,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> NativeStore:
 
 
 def test_each_moment_is_a_line_through_every_curve_and_named(store: NativeStore) -> None:
-    table = Table.of_store(store, SettlingConfig(), episodes=[1])
+    table = RelabelIndex.of_store(store, SettlingConfig(), episodes=[1])
     moments, ends = table.settled(0)
     assert len(moments) >= 4  # segments last 45 to 73 steps
     figure = drawing(store, 1, SettlingConfig())
@@ -44,7 +44,7 @@ def test_each_moment_is_a_line_through_every_curve_and_named(store: NativeStore)
 
 def test_the_frames_are_those_of_the_moments(store: NativeStore) -> None:
     """A synthetic picture's first pixel is its observation's number."""
-    moments, _ = Table.of_store(store, SettlingConfig(), episodes=[0]).settled(0)
+    moments, _ = RelabelIndex.of_store(store, SettlingConfig(), episodes=[0]).settled(0)
     strip = drawing(store, 0, SettlingConfig()).axes[0]
     shown = [int(cell.images[0].get_array()[0, 0, 0]) for cell in strip.child_axes]
     assert shown == [0, *(moments % 256).tolist()]
@@ -52,7 +52,7 @@ def test_the_frames_are_those_of_the_moments(store: NativeStore) -> None:
 
 def test_a_long_episode_shows_some_of_its_moments(tmp_path: Path) -> None:
     long = make_store(tmp_path / "long", np.random.default_rng(0), 1, 1500, ("front",))
-    moments, _ = Table.of_store(long, SettlingConfig()).settled(0)
+    moments, _ = RelabelIndex.of_store(long, SettlingConfig()).settled(0)
     assert len(moments) > FRAMES
     strip = drawing(long, 0, SettlingConfig()).axes[0]
     assert FRAMES / 2 < len(strip.child_axes) <= FRAMES + 1

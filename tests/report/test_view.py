@@ -16,7 +16,7 @@ from rerun.experimental import RrdReader
 
 from playlearn.episode import Array
 from playlearn.errors import StoreError, UsageError
-from playlearn.relabel import SettlingConfig, Table
+from playlearn.relabeling import RelabelIndex, SettlingConfig
 from playlearn.report.page import Shown, page
 from playlearn.report.pictures import Pictures, encode_still
 from playlearn.report.view import view_episode, view_results
@@ -77,7 +77,7 @@ def test_events_name_skills_and_settled_moments(store: NativeStore, episode_file
     begins = [0, *(np.flatnonzero(np.diff(episode.skill)) + 1)]
     for t in begins:
         assert said[t] == episode.meta.skills[episode.skill[t]]
-    moments, _ = Table.build([episode.achieved], episode.meta.achieved_names, 20.0, SettlingConfig()).settled(0)
+    moments, _ = RelabelIndex.build([episode.achieved], episode.meta.achieved_names, 20.0, SettlingConfig()).settled(0)
     assert len(moments) >= 1
     for moment in moments:
         assert said[moment].startswith("settled: ")
@@ -87,7 +87,7 @@ def test_events_name_skills_and_settled_moments(store: NativeStore, episode_file
 
 def test_beside_each_camera_is_the_goal_that_comes_next(store: NativeStore, episode_file: Path) -> None:
     found, episode = logged(episode_file), store.read(1)
-    moments, _ = Table.build([episode.achieved], episode.meta.achieved_names, 20.0, SettlingConfig()).settled(0)
+    moments, _ = RelabelIndex.build([episode.achieved], episode.meta.achieved_names, 20.0, SettlingConfig()).settled(0)
     goals = found["/goal/front"]
     np.testing.assert_array_equal(pictures(goals, 6, 8), episode.images["front"][moments])
     # The first from the beginning, each other from where the one before it was reached; then none.
@@ -121,7 +121,7 @@ def test_what_cannot_be_shown_is_said(store: NativeStore, tmp_path: Path) -> Non
     assert list(tmp_path.iterdir()) == []
 
 
-COLOURS = {"start": (250, 10, 10), "goal": (10, 250, 10), "final": (10, 10, 250)}
+COLORS = {"start": (250, 10, 10), "goal": (10, 250, 10), "final": (10, 10, 250)}
 
 
 @pytest.fixture
@@ -142,11 +142,11 @@ def evaluation(tmp_path: Path) -> Path:
         "versions": {},
         "revision": None,
         "policy": {"name": "pupil"},
-        "config": {"hold": 1, "max_steps": 10, "kind": {"type": "tasks"}},
+        "config": {"success_hold_steps": 1, "max_steps": 10, "kind": {"type": "tasks"}},
         "seconds": 1.0,
         "achieved_names": ["red.x", "red.y"],
     }
-    stills = {name: encode_still(np.full((16, 16, 3), colour, np.uint8)) for name, colour in COLOURS.items()}
+    stills = {name: encode_still(np.full((16, 16, 3), color, np.uint8)) for name, color in COLORS.items()}
     shown = [Shown(1, "push", success=True, reason="reached", steps=9, pictures=Pictures(**stills))]
     rows = [
         {
@@ -180,10 +180,10 @@ def test_an_evaluation_shows_the_goal_beside_what_was_achieved(evaluation: Path,
     assert "# push, episode 1\nreached (9 steps)" in text
     assert "| red.x | 0.000 | 0.500 | 0.375 | -0.125 |" in text
     assert "| red.y | 0.000 | 0.250 | 0.250 | +0.000 |" in text
-    for still, colour in COLOURS.items():
+    for still, color in COLORS.items():
         columns = found[f"/pictures/{still}"]
         # WebP is lossy, and a plain square loses next to nothing.
-        assert np.abs(pictures(columns, 16, 16).astype(int) - colour).max() < 12
+        assert np.abs(pictures(columns, 16, 16).astype(int) - color).max() < 12
         assert sorted(columns["episode"]) == [0, 1, 2]  # episodes without a picture clear the one before
 
 

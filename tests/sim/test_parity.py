@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import robosuite
 
-from playlearn.sim.robosuite_world import _SAVED, RobosuiteWorld
-from playlearn.tasks.tabletop import chance
+from playlearn.envs.tabletop import chance
+from playlearn.sim.robosuite_env import _SAVED, RobosuiteEnv
 
 STEPS = 200
 
 
-class Bare(RobosuiteWorld):
+class Bare(RobosuiteEnv):
     """A robosuite task without goals, beside the robosuite environment that it was made from."""
 
     def __init__(self, task: str, robot: str) -> None:
@@ -49,13 +49,13 @@ class Bare(RobosuiteWorld):
         self.set_state(np.concatenate([state, hand * np.ones(len(self._gripper))]))
 
 
-def reach_grasp_lift(world: Bare, step: int, rng: np.random.Generator) -> np.ndarray:
+def reach_grasp_lift(env: Bare, step: int, rng: np.random.Generator) -> np.ndarray:
     """Over the cube, down, shut, up and about; with noise in all seven numbers, and three times over."""
     phase = step % 66
     action = rng.uniform(-1, 1, 7)
-    cube = world.data.body(world.cube).xpos
+    cube = env.data.body(env.cube).xpos
     above = np.array([0, 0, 0.08 if phase < 15 else 0.0])
-    to = cube + above - world.data.site_xpos[world._site]
+    to = cube + above - env.data.site_xpos[env._site]
     if phase < 40:
         action[:3] = np.clip(to / 0.05, -1, 1)
         action[3:6] *= 0.2
@@ -67,9 +67,9 @@ def reach_grasp_lift(world: Bare, step: int, rng: np.random.Generator) -> np.nda
     return action
 
 
-def touches(world: Bare) -> bool:
+def touches(env: Bare) -> bool:
     """Whether a finger touches a cube."""
-    names = [{world.model.geom(i).name for i in (contact.geom1, contact.geom2)} for contact in world.data.contact]
+    names = [{env.model.geom(i).name for i in (contact.geom1, contact.geom2)} for contact in env.data.contact]
     return any(any("cube" in n for n in pair) and any("gripper" in n for n in pair) for pair in names)
 
 
@@ -80,19 +80,19 @@ def test_a_trajectory_is_robosuites_own(robot: str, task: str) -> None:
     """200 control steps are 5,000 of physics, with fingers and cubes in contact.
 
     1e-8 is what was promised; here it is 0, and it has to be: in a hand such as the UR5e's, whose own fingers
-    touch, rounding errors of 1e-13 become millimetres within a control step. Only the same arithmetic helps.
+    touch, rounding errors of 1e-13 become millimeters within a control step. Only the same arithmetic helps.
     """
-    world = Bare(task, robot)
-    world.theirs.step(np.array([0, 0, 0, 0, 0, 0, -1.0]))  # robosuite's first step after a reset reads stale poses
-    world.align()
+    env = Bare(task, robot)
+    env.theirs.step(np.array([0, 0, 0, 0, 0, 0, -1.0]))  # robosuite's first step after a reset reads stale poses
+    env.align()
     rng = np.random.default_rng(0)
     touched = 0
     for step in range(STEPS):
-        action = reach_grasp_lift(world, step, rng)
-        world.theirs.step(action)
-        world.step(action)
-        touched += touches(world)
-        data = world.theirs.sim.data
-        np.testing.assert_allclose(world.data.qpos, data.qpos, rtol=0, atol=1e-8, err_msg=f"qpos after step {step}")
-        np.testing.assert_allclose(world.data.qvel, data.qvel, rtol=0, atol=1e-8, err_msg=f"qvel after step {step}")
+        action = reach_grasp_lift(env, step, rng)
+        env.theirs.step(action)
+        env.step(action)
+        touched += touches(env)
+        data = env.theirs.sim.data
+        np.testing.assert_allclose(env.data.qpos, data.qpos, rtol=0, atol=1e-8, err_msg=f"qpos after step {step}")
+        np.testing.assert_allclose(env.data.qvel, data.qvel, rtol=0, atol=1e-8, err_msg=f"qvel after step {step}")
     assert touched > 5  # else nothing was shown about contact

@@ -158,7 +158,7 @@ def test_a_failure_leaves_nothing_behind(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_export_that_reads_back_otherwise_is_thrown_away(
+def test_an_export_that_reads_back_otherwise_is_discarded(
     store: NativeStore, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     actual = exporting._write

@@ -15,7 +15,7 @@ import pytest
 from playlearn.config import from_dict
 from playlearn.data import DataConfig, PlayDataset
 from playlearn.errors import StoreError, UsageError
-from playlearn.relabel import UniformConfig
+from playlearn.relabeling import UniformConfig
 from playlearn.store import LeRobotStoreConfig, NativeStore, Store, StoreConfig, open_store
 from playlearn.store.importing import import_recordings
 from playlearn.store.lerobot import frames
@@ -100,7 +100,7 @@ def test_anybodys_dataset_is_play_one_step_shorter(store: NativeStore, theirs: P
 
 
 def test_a_dataset_trains_as_a_store_does(store: NativeStore, copy: Path) -> None:
-    config = DataConfig(goals=UniformConfig(horizon=1.0), cameras=("front",), goal_cameras=("wrist",), heldout_share=0)
+    config = DataConfig(goals=UniformConfig(horizon=1.0), cameras=("front",), goal_cameras=("wrist",), val_fraction=0)
     mine, its = PlayDataset(store, config), PlayDataset(open_store(opened_config(copy)), config)
     one, other = mine.batch(1, np.arange(20)), its.batch(1, np.arange(20))
     for name in ("state", "achieved", "action", "goal_achieved", "steps_to_goal"):

@@ -16,7 +16,7 @@ from safetensors.numpy import load_file
 from playlearn.episode import Episode
 from playlearn.errors import EpisodeError, StoreError
 from playlearn.store import NativeStore, NativeStoreConfig, StoreSpec, episode_path, open_store, write_episode
-from playlearn.store.maps import OPEN_MAPS
+from playlearn.store.mmap_cache import OPEN_MAPS
 from tests.synthetic import SKILLS, make_episode, make_store
 
 
@@ -250,7 +250,7 @@ def test_what_is_no_store_is_told_apart(tmp_path: Path, rng: np.random.Generator
     for change, message in (
         ({"version": 2}, "newer playlearn.*update"),
         ({"format": "zarr"}, "format 'zarr'"),
-        ({"colour": "red"}, "unknown colour"),
+        ({"color": "red"}, "unknown color"),
     ):
         (store.path / "store.json").write_text(json.dumps(description | change))
         with pytest.raises(StoreError, match=message):

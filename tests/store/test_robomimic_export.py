@@ -9,9 +9,9 @@ import pytest
 
 from playlearn.cli import main
 from playlearn.data import DataConfig, PlayDataset
+from playlearn.data.split import val_mask
 from playlearn.errors import StoreError
-from playlearn.relabel import UniformConfig
-from playlearn.split import held_out
+from playlearn.relabeling import UniformConfig
 from playlearn.store import NativeStore, StoreSpec, robomimic_export
 from playlearn.store.importing import import_recordings
 from playlearn.store.robomimic import RobomimicConfig, RobomimicFile
@@ -61,11 +61,11 @@ def test_what_was_exported_comes_back_but_for_the_last_step(store: NativeStore, 
 def test_masks_are_what_training_holds_out(store: NativeStore, tmp_path: Path) -> None:
     export_robomimic(store, tmp_path / "a.hdf5", MASKS)
     back = import_recordings(RobomimicFile(tmp_path / "a.hdf5"), tmp_path / "back")
-    assert [back.meta(i).split for i in range(3)] == ["train", "heldout", "train"]
+    assert [back.meta(i).split for i in range(3)] == ["train", "val", "train"]
     data = DataConfig(goals=UniformConfig())
-    shown = {split: PlayDataset(back, data, split).episodes.tolist() for split in ("train", "heldout")}
-    assert shown == {"train": [0, 2], "heldout": [1]}
-    assert not held_out(back, 0.0).any()  # who wants nothing held out gets all
+    shown = {split: PlayDataset(back, data, split).episodes.tolist() for split in ("train", "val")}
+    assert shown == {"train": [0, 2], "val": [1]}
+    assert not val_mask(back, 0.0).any()  # who wants nothing held out gets all
     # Nothing would be left to one side: then numbers decide, as for any play.
     for name, config in {"one": RobomimicConfig(mask="train"), "other": RobomimicConfig(mask="valid")}.items():
         part = import_recordings(RobomimicFile(tmp_path / "a.hdf5", config), tmp_path / name)
@@ -75,8 +75,8 @@ def test_masks_are_what_training_holds_out(store: NativeStore, tmp_path: Path) -
 def test_the_command_masks_what_training_would_hold_out(store: NativeStore, tmp_path: Path) -> None:
     out = tmp_path / "a.hdf5"
     assert main(["export", "robomimic", str(store.path), str(out)]) == 0
-    heldout = store.indices()[held_out(store, DataConfig().heldout_share)].tolist()
-    assert RobomimicFile(out).splits["valid"] == heldout
+    val = store.indices()[val_mask(store, DataConfig().val_fraction)].tolist()
+    assert RobomimicFile(out).splits["valid"] == val
     assert main(["export", "robomimic", str(store.path), str(out)]) == 1
     assert main(["export", "robomimic", str(store.path), str(tmp_path / "b"), "--goals"]) == 2
     assert main(["export", "policy", str(store.path), str(tmp_path / "b"), "--video.x=1"]) == 2

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import robosuite
 
+from playlearn.envs import LiftConfig
 from playlearn.errors import StoreError
 from playlearn.store.importing import import_recordings
 from playlearn.store.robosuite_demos import RobosuiteFile, Scene
-from playlearn.tasks import LiftConfig
 
 h5py = pytest.importorskip("h5py", reason="the extra `robomimic` is not installed")
 HOME = str(Path(robosuite.__file__).resolve().parent)
@@ -21,20 +21,20 @@ def lift() -> Any:
     return LiftConfig().build()
 
 
-def raw(path: Path, world: Any, demos: int = 3, xml: str | None = None) -> Path:
+def raw(path: Path, env: Any, demos: int = 3, xml: str | None = None) -> Path:
     """A file as `collect_human_demonstrations` writes it, by somebody else on another machine."""
-    elsewhere = (world._xml if xml is None else xml).replace(HOME, "/opt/somebody/robosuite")
+    elsewhere = (env._xml if xml is None else xml).replace(HOME, "/opt/somebody/robosuite")
     with h5py.File(path, "w") as file:
         data = file.create_group("data")
         data.attrs["env"], data.attrs["env_info"] = "Lift", '{"control_freq": 20, "robots": "Panda"}'
         for k in range(1, demos + 1):
             group = data.create_group(f"demo_{k}")
             group.attrs["model_file"] = elsewhere
-            world.reset(k)
+            env.reset(k)
             rows = []
             for _ in range(5):
-                rows.append(np.concatenate([[world.data.time], world.data.qpos, world.data.qvel]))
-                world.step(np.array([0.3, 0.1 * k, -0.2, 0, 0, 0, 1.0]))
+                rows.append(np.concatenate([[env.data.time], env.data.qpos, env.data.qvel]))
+                env.step(np.array([0.3, 0.1 * k, -0.2, 0, 0, 0, 1.0]))
             group["states"], group["actions"] = np.array(rows), np.full((5, 7), 0.1 * k)
     return path
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from playlearn.collect import CollectConfig, collect, record_by_hand
-from playlearn.collect.world import world
+from playlearn.collection import CollectConfig, collect, record_by_hand
+from playlearn.collection.env import env
 from playlearn.episode import Array, Goal
 from playlearn.errors import UsageError
 from playlearn.sim import Environment
@@ -92,7 +92,7 @@ CONFIG = CollectConfig(episodes=2, steps=8)
 
 @pytest.fixture
 def playtable() -> Any:
-    return Blind(world(CONFIG.environment))
+    return Blind(env(CONFIG.environment))
 
 
 def moving(steps: int, seed: int = 0) -> list[tuple[tuple[float, ...], bool, bool]]:
@@ -174,12 +174,12 @@ def test_steps_come_in_real_time_even_where_drawing_is_slow(tmp_path: Path, play
 
 
 def test_one_person_plays_in_one_world_with_a_hand(playtable: Any) -> None:
-    from tests.fakes import PointConfig, PointWorld
+    from tests.fakes import PointConfig, PointEnv
 
     with pytest.raises(ValueError, match="one person"):
         actor(Scripted([]), playtable, Looking()).reset([None, None], [0, 1])
     with pytest.raises(UsageError, match="7 numbers"):
-        actor(Scripted([]), PointWorld(PointConfig()), Looking())
+        actor(Scripted([]), PointEnv(PointConfig()), Looking())
     assert actor(Scripted([]), playtable, Looking()).reset([Goal(np.zeros(1))], [0]) is None
 
 
@@ -325,7 +325,7 @@ def test_without_a_screen_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
 SHOWN = """
 import numpy as np
 from playlearn.sim import CameraConfig
-from playlearn.tasks import PlayTableConfig
+from playlearn.envs import PlayTableConfig
 from playlearn.teleop.device import Wish
 from playlearn.teleop.window import Window
 import glfw

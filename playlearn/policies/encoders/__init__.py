@@ -2,7 +2,7 @@
 
 from playlearn.policies.encoders.base import Encoder, EncoderConfig, Modality, Tokens
 from playlearn.policies.encoders.cnn import CNNConfig
-from playlearn.policies.encoders.image import AuxiliaryConfig, ImageConfig
+from playlearn.policies.encoders.image import ImageConfig
 from playlearn.policies.encoders.keypoints import KeypointsConfig
 from playlearn.policies.encoders.state import StateConfig
 from playlearn.policies.encoders.tokens import TokensConfig
@@ -10,7 +10,6 @@ from playlearn.policies.encoders.torchvision import TorchvisionConfig
 from playlearn.policies.encoders.transformers import TransformersConfig
 
 __all__ = [
-    "AuxiliaryConfig",
     "CNNConfig",
     "Encoder",
     "EncoderConfig",

@@ -38,7 +38,7 @@ class EncoderConfig(draccus.ChoiceRegistry):
         return ()
 
     @property
-    def goal_body(self) -> bool:
+    def uses_goal_proprio(self) -> bool:
         """Whether a goal must bring the robot's own state."""
         return False
 
@@ -67,13 +67,13 @@ class Tokens:
 
 
 class Encoder(nn.Module):
-    """Turns normalised inputs into tokens. goal_tokens: N, step_tokens: M of `Tokens`."""
+    """Turns normalized inputs into tokens. goal_tokens: N, step_tokens: M of `Tokens`."""
 
     goal_tokens: int
     step_tokens: int
 
     def forward(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
-        """inputs: state and achieved normalised, images uint8. keep: (B,) bool, False where the goal is withheld.
+        """inputs: state and achieved normalized, images uint8. keep: (B,) bool, False where the goal is withheld.
 
         generator: draws the augmentation; None for none (evaluation).
         """

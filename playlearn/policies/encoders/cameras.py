@@ -16,7 +16,7 @@ class CamerasConfig(EncoderConfig):
     """The fields that every encoder has which looks through cameras.
 
     cameras: what the policy sees. goal: what it is shown of a goal: an image, the state (`achieved`), or, with
-    `both`, now one and now the other, so that it can be asked either way. picture_share: of the training examples
+    `both`, now one and now the other, so that it can be asked either way. image_goal_prob: of the training examples
     that are shown an image where the goal is `both`. goal_camera: the camera in which goal images are shown.
     hidden: units of the small networks behind the images. shift: random shift of the images in training, in
     pixels, the same for observation and goal.
@@ -24,7 +24,7 @@ class CamerasConfig(EncoderConfig):
 
     cameras: tuple[str, ...] = ("front", "wrist")
     goal: Literal["image", "state", "both"] = "image"
-    picture_share: float = 0.5
+    image_goal_prob: float = 0.5
     goal_camera: str = "front"
     hidden: int = 256
     shift: int = 0
@@ -45,8 +45,8 @@ class CamerasConfig(EncoderConfig):
         """Raises UsageError where the fields contradict each other."""
         if self.goal_camera not in self.cameras:
             raise UsageError(f"encoder.goal_camera {self.goal_camera!r} is not among encoder.cameras {self.cameras}")
-        if not 0 <= self.picture_share <= 1:
-            raise UsageError(f"encoder.picture_share is a share of the examples, 0 to 1: got {self.picture_share}")
+        if not 0 <= self.image_goal_prob <= 1:
+            raise UsageError(f"encoder.image_goal_prob is a share of the examples, 0 to 1: got {self.image_goal_prob}")
 
     def pictured(self, inputs: Observed, generator: torch.Generator | None) -> Tensor:
         """(B,) bool, True for the examples whose goal is an image; in training drawn, else by what there is."""
@@ -55,7 +55,7 @@ class CamerasConfig(EncoderConfig):
         if not shown or self.goal != "both" or generator is None:
             return torch.full((batch,), shown, device=device)
         draws = torch.rand(batch, generator=generator, device=generator.device)
-        return (draws < self.picture_share).to(device)
+        return (draws < self.image_goal_prob).to(device)
 
 
 def pixels(frames: Tensor) -> Tensor:

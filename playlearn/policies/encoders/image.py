@@ -1,7 +1,7 @@
 """What encoders of one vector a camera share: fusion of observation and goal, privileged supervision."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import torch
@@ -10,16 +10,9 @@ from torch import Tensor, nn
 from playlearn.errors import UsageError
 from playlearn.policies.encoders.base import Encoder, Tokens
 from playlearn.policies.encoders.cameras import CamerasConfig, pixels, random_shift
+from playlearn.policies.encoders.goal_state import GoalStateEncoder
 from playlearn.policies.encoders.objects import ObjectTokens, mlp
-from playlearn.policies.encoders.stated import StatedGoal
 from playlearn.policies.inputs import Inputs, Observed, PolicySpec
-
-
-@dataclass(frozen=True)
-class AuxiliaryConfig:
-    """Privileged supervision: in training only, images must also tell `achieved`. Its loss's weight, 0 for none."""
-
-    achieved: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -28,7 +21,8 @@ class ImageConfig(CamerasConfig):
 
     fusion: `early` stacks observation and goal along the channels; `late` runs one network over each.
     features: width of a camera's feature vector.
-    auxiliary: see AuxiliaryConfig. feed_estimate: hand the estimated achieved of observation and goal and
+    state_supervision: weight of a loss by which images must also tell `achieved`, in training only (privileged).
+    use_estimated_state: hand the estimated achieved of observation and goal and
     their difference to the policy, as the state encoder does with the true ones; a goal that is a state needs no
     estimate. feed_cameras: the cameras whose features the policy sees beside them (null: all).
     detach_estimate: the policy's own loss does not shape the estimates. linear_estimate: they are a linear map of the
@@ -37,8 +31,8 @@ class ImageConfig(CamerasConfig):
 
     fusion: Literal["early", "late"] = "early"
     features: int = 256
-    auxiliary: AuxiliaryConfig = field(default_factory=AuxiliaryConfig)
-    feed_estimate: bool = False
+    state_supervision: float = 0.0
+    use_estimated_state: bool = False
     feed_cameras: tuple[str, ...] | None = None
     detach_estimate: bool = True
     linear_estimate: bool = False
@@ -54,15 +48,17 @@ class ImageConfig(CamerasConfig):
     def check_build(self) -> None:
         """Raises UsageError where the fields contradict each other."""
         self.check()
-        if self.feed_estimate and self.auxiliary.achieved <= 0:
-            raise UsageError("encoder.feed_estimate needs encoder.auxiliary.achieved above 0: nothing else trains it")
+        if self.use_estimated_state and self.state_supervision <= 0:
+            raise UsageError(
+                "encoder.use_estimated_state needs encoder.state_supervision above 0: nothing else trains it"
+            )
         unknown = set(self.feed_cameras or ()) - set(self.cameras)
         if unknown:
             raise UsageError(f"encoder.feed_cameras: {min(unknown)!r} is not among encoder.cameras {self.cameras}")
         pictured = self.feed_cameras is None or self.goal_camera in self.feed_cameras
-        if not pictured and not self.feed_estimate and self.goal != "state":
+        if not pictured and not self.use_estimated_state and self.goal != "state":
             raise UsageError(
-                "encoder.feed_cameras without the goal's camera needs encoder.feed_estimate: no goal is seen"
+                "encoder.feed_cameras without the goal's camera needs encoder.use_estimated_state: no goal is seen"
             )
 
 
@@ -71,7 +67,7 @@ class ImageEncoder(Encoder):
 
     The goal token says whether there is a goal, and what it is where it is a state or fused late.
 
-    With `feed_estimate` there is also a token an object, made from the estimated achieved of observation
+    With `use_estimated_state` there is also a token an object, made from the estimated achieved of observation
     and goal. The true `achieved` is never read outside `auxiliary`.
     """
 
@@ -94,17 +90,17 @@ class ImageEncoder(Encoder):
         self.goal_flag = nn.Parameter(torch.randn(1 + len(config.goals), width) * 0.02)
         self.goal_tokens, self.step_tokens = 1, len(fed) + 1
 
-        self.estimate = _Estimate(config, len(spec.achieved_names), state) if config.auxiliary.achieved > 0 else None
+        self.estimate = _Estimate(config, len(spec.achieved_names), state) if config.state_supervision > 0 else None
         self.objects: ObjectTokens | None = None
         self.proprio: nn.Module | None = None
-        self.told: StatedGoal | None = None
-        if config.feed_estimate:
+        self.told: GoalStateEncoder | None = None
+        if config.use_estimated_state:
             self.objects = ObjectTokens(spec, config.goal_names, config.hidden, width)
             self.step_tokens += self.objects.count - 1
         else:
             self.proprio = mlp(state, config.hidden, width)
             if "state" in config.goals:
-                self.told = StatedGoal(spec, config.goal_names, config.hidden, width)
+                self.told = GoalStateEncoder(spec, config.goal_names, config.hidden, width)
 
     def forward(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
         config = self.config
@@ -130,7 +126,7 @@ class ImageEncoder(Encoder):
         )
 
     def token_parameters(self) -> Iterable[nn.Parameter]:
-        if not (self.config.feed_estimate and self.config.detach_estimate) or self.project or self.project_goal:
+        if not (self.config.use_estimated_state and self.config.detach_estimate) or self.project or self.project_goal:
             return self.parameters()
         reads_images = ("front.", "others.", "estimate.")
         return [parameter for name, parameter in self.named_parameters() if not name.startswith(reads_images)]
@@ -149,10 +145,10 @@ class ImageEncoder(Encoder):
     def auxiliary(self, tokens: Tokens, inputs: Inputs) -> dict[str, Tensor]:
         if tokens.observed is None or tokens.wanted is None:
             return {}
-        # a small beta: nearly an absolute error, so that the last centimetre still counts
+        # a small beta: nearly an absolute error, so that the last centimeter still counts
         loss = nn.functional.smooth_l1_loss(tokens.observed, inputs.achieved, beta=0.1)
         loss = loss + nn.functional.smooth_l1_loss(tokens.wanted, inputs.goal_achieved, beta=0.1)
-        return {"achieved": self.config.auxiliary.achieved * loss}
+        return {"achieved": self.config.state_supervision * loss}
 
     def _estimated(self, inputs: Observed, seen: "_Seen", pictured: Tensor) -> tuple[Tensor | None, Tensor | None]:
         """(B, T, G) and (B, G), normalized: where things are, and where they are in the goal; None where not taught."""
@@ -208,7 +204,7 @@ class ImageEncoder(Encoder):
         stacked = torch.cat([shown, wanted.expand(-1, steps, -1, -1, -1)], dim=-1)  # (B, T, h, w, 6)
         scaled = pixels(stacked.flatten(0, 1))  # (B T, 6, h, w)
         withheld = ~keep.repeat_interleave(steps)
-        scaled[:, 3:].masked_fill_(withheld[:, None, None, None], 0.0)  # mid-grey
+        scaled[:, 3:].masked_fill_(withheld[:, None, None, None], 0.0)  # mid-gray
         return self._rows(scaled, batch)
 
     @staticmethod
@@ -233,7 +229,7 @@ class _Seen(NamedTuple):
 
 
 class _Estimate(nn.Module):
-    """Normalised achieved of the observation from all cameras and the state, of the goal (wanted) from its image."""
+    """Normalized achieved of the observation from all cameras and the state, of the goal (wanted) from its image."""
 
     def __init__(self, config: ImageConfig, achieved: int, state: int) -> None:
         super().__init__()

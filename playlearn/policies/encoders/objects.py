@@ -41,14 +41,14 @@ class ObjectTokens(nn.Module):
         self.count = len(groups) + 1
 
     def forward(
-        self, state: Tensor, achieved: Tensor, goal: Tensor, keep: Tensor, goal_state: Tensor | None = None
+        self, state: Tensor, achieved: Tensor, goal: Tensor, keep: Tensor, goal_proprio: Tensor | None = None
     ) -> Tensor:
         """(B, T, S), (B, T, G), (B, G), (B,) bool, False where the goal is withheld, and (B, S) to (B, T, M, D)."""
         tokens = [kind(state, achieved, goal, keep) for kind in self.kinds]
         body = state
-        if self.arm and goal_state is not None:
+        if self.arm and goal_proprio is not None:
             shown = keep[:, None, None].to(state.dtype)
-            left = (goal_state.unsqueeze(1) - state) * shown  # (B, T, S)
+            left = (goal_proprio.unsqueeze(1) - state) * shown  # (B, T, S)
             body = torch.cat([state, left, torch.tanh(NEAR * left), shown.expand(*state.shape[:2], 1)], dim=-1)
         return torch.cat([*tokens, self.robot(body).unsqueeze(2)], dim=2)
 

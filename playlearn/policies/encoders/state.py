@@ -16,15 +16,15 @@ class StateConfig(EncoderConfig):
     """hidden: units of the two-layer networks that make a token. goal_arm: a goal also says where the arm is."""
 
     hidden: int = 256
-    goal_arm: bool = False
+    goal_proprio: bool = False
 
     @property
     def goals(self) -> tuple[Modality, ...]:
         return ("state",)
 
     @property
-    def goal_body(self) -> bool:
-        return self.goal_arm
+    def uses_goal_proprio(self) -> bool:
+        return self.goal_proprio
 
     def build(self, spec: PolicySpec, width: int, *, fetch: bool = True) -> "StateEncoder":
         return StateEncoder(self, spec, width)
@@ -37,10 +37,10 @@ class StateEncoder(Encoder):
 
     def __init__(self, config: StateConfig, spec: PolicySpec, width: int) -> None:
         super().__init__()
-        self.objects = ObjectTokens(spec, config.goal_names, config.hidden, width, arm=config.goal_arm)
+        self.objects = ObjectTokens(spec, config.goal_names, config.hidden, width, arm=config.goal_proprio)
         self.step_tokens = self.objects.count
         self.goal_flag = nn.Parameter(torch.randn(2, width) * 0.02)  # without, with a goal
 
     def forward(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
-        steps = self.objects(inputs.state, inputs.achieved, inputs.goal_achieved, keep, inputs.goal_state)
+        steps = self.objects(inputs.state, inputs.achieved, inputs.goal_achieved, keep, inputs.goal_proprio)
         return Tokens(goal=self.goal_flag[keep.long()].unsqueeze(1), steps=steps)

@@ -14,8 +14,8 @@ from torch import Tensor, nn
 from playlearn.errors import UsageError
 from playlearn.policies.encoders.base import Encoder, EncoderConfig, Tokens
 from playlearn.policies.encoders.cameras import CamerasConfig, channels_last, pixels, random_shift
+from playlearn.policies.encoders.goal_state import GoalStateEncoder
 from playlearn.policies.encoders.objects import mlp
-from playlearn.policies.encoders.stated import StatedGoal
 from playlearn.policies.inputs import Observed, PolicySpec
 
 
@@ -53,18 +53,18 @@ class TokensEncoder(Encoder):
         super().__init__()
         self.config = config
         self.step_tokens = config.tokens * len(config.cameras) + 1
-        self.eyes = nn.ModuleDict({camera: _Eye(config, config.hidden) for camera in config.cameras})
+        self.eyes = nn.ModuleDict({camera: ConvBackbone(config, config.hidden) for camera in config.cameras})
         seen = config.channels[-1] + 2
-        self.leave = nn.ModuleDict({camera: nn.Linear(seen, width) for camera in config.cameras})
+        self.out_proj = nn.ModuleDict({camera: nn.Linear(seen, width) for camera in config.cameras})
         self.proprio = mlp(len(spec.state_names), config.hidden, width)
         self.goal_flag = nn.Parameter(torch.randn(1 + len(config.goals), config.hidden) * 0.02)
         self.goal_eye: nn.Module | None = None
         self.told: nn.Module | None = None
         if "image" in config.goals:
             flat = nn.Linear(config.tokens * seen, config.hidden)
-            self.goal_eye = nn.Sequential(_Eye(config, None), nn.Flatten(), flat, nn.ReLU())
+            self.goal_eye = nn.Sequential(ConvBackbone(config, None), nn.Flatten(), flat, nn.ReLU())
         if "state" in config.goals:
-            self.told = StatedGoal(spec, config.goal_names, config.hidden, config.hidden)
+            self.told = GoalStateEncoder(spec, config.goal_names, config.hidden, config.hidden)
         self.goal_out = nn.Linear(config.hidden, width)
 
     def forward(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
@@ -84,7 +84,7 @@ class TokensEncoder(Encoder):
             seen = frames[camera]
             if camera != config.goal_camera or goal_frame is None:
                 seen = random_shift(seen, config.shift, generator)
-            found = self.leave[camera](eye(pixels(seen.flatten(0, 1)), condition))  # (B T, K, D)
+            found = self.out_proj[camera](eye(pixels(seen.flatten(0, 1)), condition))  # (B T, K, D)
             tokens.append(found.unflatten(0, (batch, steps)))
         tokens.append(self.proprio(inputs.state).unsqueeze(2))
         return Tokens(self.goal_out(goal).unsqueeze(1), torch.cat(tokens, dim=2))
@@ -100,7 +100,7 @@ class TokensEncoder(Encoder):
         return goal
 
 
-class _Eye(nn.Module):
+class ConvBackbone(nn.Module):
     """(B, 3, h, w) in [-1, 1] and (B, W) what to look for, or None, -> (B, K, width)."""
 
     def __init__(self, config: TokensConfig, condition: int | None) -> None:

@@ -6,8 +6,8 @@ import torch
 from torch import nn
 
 from playlearn.errors import UsageError
+from playlearn.policies.encoders.backbones import IMAGENET, Frozen, Scale, replace_batch_norm, widened
 from playlearn.policies.encoders.base import EncoderConfig
-from playlearn.policies.encoders.bodies import IMAGENET, Frozen, Scale, replace_batch_norm, widened
 from playlearn.policies.encoders.cameras import channels_last
 from playlearn.policies.encoders.image import ImageConfig
 
@@ -18,7 +18,7 @@ class TorchvisionConfig(ImageConfig):
     """name: as in `torchvision.models.list_models()`. weights: null for none, else a name such as DEFAULT, downloaded.
 
     From scratch, batch norm becomes group norm; pretrained, its statistics are frozen. Either way an
-    example's features do not depend on its neighbours in the batch. frozen: the body stays as it was downloaded.
+    example's features do not depend on its neighbors in the batch. frozen: the body stays as it was downloaded.
     """
 
     name: str = "resnet18"

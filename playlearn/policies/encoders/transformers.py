@@ -8,8 +8,8 @@ import torch
 from torch import Tensor, nn
 
 from playlearn.errors import UsageError
+from playlearn.policies.encoders.backbones import IMAGENET, Frozen, Scale, replace_batch_norm, widened
 from playlearn.policies.encoders.base import EncoderConfig
-from playlearn.policies.encoders.bodies import IMAGENET, Frozen, Scale, replace_batch_norm, widened
 from playlearn.policies.encoders.cameras import channels_last
 from playlearn.policies.encoders.cnn import SpatialSoftmax
 from playlearn.policies.encoders.image import ImageConfig
@@ -24,7 +24,7 @@ class TransformersConfig(ImageConfig):
     """name: a model type, such as resnet, convnextv2, vit or dinov2; options: fields of its config that differ.
 
     weights: null for none, else a repository of the Hugging Face hub or a folder, which then also decide name and
-    options; only safetensors are read. frozen: the body stays as the weights made it. mean, std: of the colours that
+    options; only safetensors are read. frozen: the body stays as the weights made it. mean, std: of the colors that
     it expects, 0 to 1, null for those that come with the weights, else ImageNet's. A saved policy holds all of it
     and is loaded without the network.
     """
@@ -56,15 +56,15 @@ class TransformersConfig(ImageConfig):
             raise self._unreachable(error) from error
         options = {name: value for name, value in found.to_diff_dict().items() if name not in _NOTES}
         try:
-            colours: dict[str, Any] = ImageProcessingMixin.get_image_processor_dict(self.weights)[0]
+            colors: dict[str, Any] = ImageProcessingMixin.get_image_processor_dict(self.weights)[0]
         except (OSError, ValueError):
-            colours = {}  # weights alone, without a word on the images they were trained with
+            colors = {}  # weights alone, without a word on the images they were trained with
         return replace(
             plain,
             name=found.model_type,
             options={**options, **self.options},
-            mean=self.mean or tuple(colours.get("image_mean", IMAGENET[0])),
-            std=self.std or tuple(colours.get("image_std", IMAGENET[1])),
+            mean=self.mean or tuple(colors.get("image_mean", IMAGENET[0])),
+            std=self.std or tuple(colors.get("image_std", IMAGENET[1])),
         )
 
     def backbone(self, channels: int, size: tuple[int, int], *, fetch: bool) -> nn.Module:
@@ -89,7 +89,7 @@ class TransformersConfig(ImageConfig):
                 {name: one if one.shape == wanted[name] else widened(one, channels) for name, one in held.items()}
             )
         replace_batch_norm(model, pretrained=self.weights is not None)
-        body = channels_last(_Body(model, self.name, channels, size))
+        body = channels_last(_VisionModel(model, self.name, channels, size))
         seen: nn.Module = Frozen(body) if self.frozen else body
         scale = Scale(channels, self.mean or IMAGENET[0], self.std or IMAGENET[1])
         return nn.Sequential(scale, seen, nn.Linear(body.width, self.features), nn.ReLU())
@@ -112,7 +112,7 @@ class TransformersConfig(ImageConfig):
         )
 
 
-class _Body(nn.Module):
+class _VisionModel(nn.Module):
     """(B, C, h, w) -> (B, width): of maps where each channel looks and what it sees, of tokens their mean."""
 
     def __init__(self, model: nn.Module, name: str, channels: int, size: tuple[int, int]) -> None:

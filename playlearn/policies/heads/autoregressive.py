@@ -36,7 +36,7 @@ class AutoregressiveConfig(HeadConfig):
     width: int = 128
     layers: int = 2
     heads: int = 4
-    soft: float = 1.0
+    label_smoothing_bins: float = 1.0
     temperature: float = 1.0
     top_p: float = 0.95
 
@@ -52,13 +52,13 @@ class AutoregressiveHead(Head):
         self.unit = 1 if config.order == "token" else actions  # numbers that one position stands for
         self.register_buffer("edges", torch.linspace(-LIMIT, LIMIT, config.bins + 1).repeat(actions, 1))  # (A, K + 1)
         positions = chunk * actions // self.unit
-        self.enter = nn.Linear(width, config.width)
-        self.words = nn.Embedding(actions * config.bins, config.width)
-        self.places = nn.Parameter(torch.randn(positions, config.width) * 0.1)
+        self.in_proj = nn.Linear(width, config.width)
+        self.token_embedding = nn.Embedding(actions * config.bins, config.width)
+        self.pos_embedding = nn.Parameter(torch.randn(positions, config.width) * 0.1)
         self.decoder = Decoder(config.width, config.layers, config.heads)
-        self.leave = nn.Parameter(torch.randn(actions, config.bins, config.width) * config.width**-0.5)
+        self.out_proj = nn.Parameter(torch.randn(actions, config.bins, config.width) * config.width**-0.5)
 
-    def fit(self, chunks: Tensor) -> None:
+    def fit_action_statistics(self, chunks: Tensor) -> None:
         """Span each action's bins over what the data holds."""
         values = chunks.flatten(0, -2).T.contiguous()  # (A, n)
         edges = self.get_buffer("edges")
@@ -82,10 +82,10 @@ class AutoregressiveHead(Head):
         return found
 
     def numbers(self, tokens: Tensor) -> Tensor:
-        """(B, H, A) bins -> (B, H, A), their centres."""
+        """(B, H, A) bins -> (B, H, A), their centers."""
         edges = self.get_buffer("edges")
-        centres = (edges[:, 1:] + edges[:, :-1]) / 2
-        return centres[torch.arange(self.shape[1], device=tokens.device), tokens]
+        centers = (edges[:, 1:] + edges[:, :-1]) / 2
+        return centers[torch.arange(self.shape[1], device=tokens.device), tokens]
 
     def loss(
         self, features: Tensor, chunk: Tensor, mask: Tensor, generator: torch.Generator
@@ -112,11 +112,13 @@ class AutoregressiveHead(Head):
 
     def sample(self, features: Tensor, generator: Generators, guidance: Guidance | None = None) -> Tensor:
         normal = draw_noise((len(features), *self.shape), generator, features.device)
-        luck = torch.special.ndtr(normal).flatten(1)  # uniform in (0, 1): where in the cumulated shares the draw falls
+        uniforms = torch.special.ndtr(normal).flatten(
+            1
+        )  # uniform in (0, 1): where in the cumulated shares the draw falls
 
         def choose(logits: Tensor, first: int) -> Tensor:
             share = top((logits / self.config.temperature).softmax(-1), self.config.top_p)
-            drawn = luck[:, first : first + logits.shape[1], None]
+            drawn = uniforms[:, first : first + logits.shape[1], None]
             below = share.cumsum(-1)
             # a draw beyond what rounding left of the sum falls into the last bin
             return torch.searchsorted(below, drawn * below[..., -1:]).squeeze(-1).clamp_(max=self.config.bins - 1)
@@ -130,36 +132,36 @@ class AutoregressiveHead(Head):
     def _decode(self, features: Tensor, guidance: Guidance | None, choose: Callable[[Tensor, int], Tensor]) -> Tensor:
         """choose: from logits (B, n, K) of the numbers from `first` on to their bins (B, n)."""
         count, (steps, actions) = len(features), self.shape
-        given = self.enter(features if guidance is None else torch.cat([features, guidance.features]))
+        given = self.in_proj(features if guidance is None else torch.cat([features, guidance.features]))
         if self.config.order == "parallel":
-            logits = self._out(self._pass(given.unsqueeze(1) + self.places))
+            logits = self._out(self._pass(given.unsqueeze(1) + self.pos_embedding))
             return self.numbers(choose(guided(logits, guidance).flatten(1, 2), 0).view(count, steps, actions))
-        weights = self.leave.view(-1, self.unit * self.config.bins, self.config.width).unbind()  # by the turn
-        words = self.words.weight.view(-1, self.unit, self.config.bins, self.config.width)
-        told = [[table.contiguous() for table in turn] for turn in words]
-        turns = self.decoder.steps(len(given), len(self.places))
+        weights = self.out_proj.view(-1, self.unit * self.config.bins, self.config.width).unbind()  # by the turn
+        token_embedding = self.token_embedding.weight.view(-1, self.unit, self.config.bins, self.config.width)
+        tables = [[table.contiguous() for table in turn] for turn in token_embedding]
+        turns = self.decoder.steps(len(given), len(self.pos_embedding))
         chosen: list[Tensor] = []
         hidden = given
-        for place, here in enumerate(self.places.unbind()):
+        for place, here in enumerate(self.pos_embedding.unbind()):
             turn = place % len(weights)
             logits = functional.linear(turns.next(hidden + here), weights[turn])
             logits = guided(logits.view(len(given), self.unit, -1), guidance)
             tokens = choose(logits, place * self.unit)  # (B, unit)
             chosen.append(tokens)
             hidden = given
-            for table, word in zip(told[turn], tokens.unbind(1), strict=True):
+            for table, word in zip(tables[turn], tokens.unbind(1), strict=True):
                 before = functional.embedding(word, table)
                 hidden = hidden + (before if guidance is None else before.repeat(2, 1))
         return self.numbers(torch.cat(chosen, dim=1).view(count, steps, actions))
 
     def _logits(self, features: Tensor, tokens: Tensor) -> Tensor:
         """(B, H, A, K) of every number given the true ones before it."""
-        hidden = self.enter(features).unsqueeze(1) + self.places  # (B, positions, W)
+        hidden = self.in_proj(features).unsqueeze(1) + self.pos_embedding  # (B, positions, W)
         if self.config.order != "parallel":
             actions = torch.arange(self.shape[1], device=tokens.device) * self.config.bins
-            told = self.words(tokens + actions)  # (B, H, A, W)
-            told = told.flatten(1, 2) if self.unit == 1 else told.sum(2)
-            hidden = hidden + functional.pad(told[:, :-1], (0, 0, 1, 0))
+            tables = self.token_embedding(tokens + actions)  # (B, H, A, W)
+            tables = tables.flatten(1, 2) if self.unit == 1 else tables.sum(2)
+            hidden = hidden + functional.pad(tables[:, :-1], (0, 0, 1, 0))
         return self._out(self._pass(hidden))
 
     def _pass(self, hidden: Tensor) -> Tensor:
@@ -169,16 +171,16 @@ class AutoregressiveHead(Head):
     def _out(self, hidden: Tensor) -> Tensor:
         """(B, positions, W) -> (B, H, A, K)."""
         if self.unit == 1:
-            return torch.einsum("bhaw,akw->bhak", hidden.unflatten(1, self.shape), self.leave)
-        return torch.einsum("bhw,akw->bhak", hidden, self.leave)
+            return torch.einsum("bhaw,akw->bhak", hidden.unflatten(1, self.shape), self.out_proj)
+        return torch.einsum("bhw,akw->bhak", hidden, self.out_proj)
 
     def _target(self, tokens: Tensor) -> Tensor:
         """(B, H, A, K) the share of each bin in what is to be predicted."""
         bins = torch.arange(self.config.bins, device=tokens.device)
         off = (bins - tokens.unsqueeze(-1)).float()
-        if self.config.soft == 0:
+        if self.config.label_smoothing_bins == 0:
             return (off == 0).float()
-        return (-0.5 * (off / self.config.soft).square()).softmax(-1)
+        return (-0.5 * (off / self.config.label_smoothing_bins).square()).softmax(-1)
 
 
 def guided(logits: Tensor, guidance: Guidance | None) -> Tensor:

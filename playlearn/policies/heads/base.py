@@ -1,4 +1,4 @@
-"""What every head offers: features in, a distribution over chunks of normalised actions out."""
+"""What every head offers: features in, a distribution over chunks of normalized actions out."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,17 +35,17 @@ class Guidance:
 
 
 class Head(nn.Module):
-    """A distribution over (H, A) chunks in normalised action space.
+    """A distribution over (H, A) chunks in normalized action space.
 
     updates: how many training has made, for what warms up; beyond any warm-up where nobody trains.
     keep: chunks in a row that are to be sampled with the same noise, so that one choice lasts so long.
     """
 
     updates: int = 10**9
-    keep: int = 1
+    noise_repeat: int = 1
 
-    def fit(self, chunks: Tensor) -> None:
-        """Look at (n, H, A) normalised chunks of the training data, once, before the first update."""
+    def fit_action_statistics(self, chunks: Tensor) -> None:
+        """Look at (n, H, A) normalized chunks of the training data, once, before the first update."""
 
     def loss(
         self, features: Tensor, chunk: Tensor, mask: Tensor, generator: torch.Generator
@@ -54,7 +54,7 @@ class Head(nn.Module):
         raise NotImplementedError
 
     def sample(self, features: Tensor, generator: Generators, guidance: Guidance | None = None) -> Tensor:
-        """(B, D) -> (B, H, A). A sequence of B generators gives each row noise of its own, whatever its neighbours."""
+        """(B, D) -> (B, H, A). A sequence of B generators gives each row noise of its own, whatever its neighbors."""
         raise NotImplementedError
 
     def mode(self, features: Tensor, guidance: Guidance | None = None) -> Tensor:

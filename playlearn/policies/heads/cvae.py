@@ -1,6 +1,6 @@
 """A conditional variational autoencoder of chunks (Sohn et al. 2015; for robots Zhao et al. 2023).
 
-A recogniser reads the chunk and names what it did in a latent z; a decoder turns features and z into a
+A posterior_encoder reads the chunk and names what it did in a latent z; a decoder turns features and z into a
 chunk. To act, z is drawn from the prior N(0, I): which of the possible answers it will be.
 """
 
@@ -38,7 +38,7 @@ class CVAEHead(Head):
         self.config = config
         self.shape = (chunk, actions)
         out, hidden = chunk * actions, config.hidden
-        self.recogniser = nn.Sequential(
+        self.posterior_encoder = nn.Sequential(
             nn.Linear(width + out + chunk, hidden), nn.GELU(), nn.Linear(hidden, 2 * config.latent)
         )
         self.decoder = nn.Sequential(
@@ -53,7 +53,7 @@ class CVAEHead(Head):
         self, features: Tensor, chunk: Tensor, mask: Tensor, generator: torch.Generator
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """`z_matters`: how much the error grows, as a share, with another example's z; 0 where z is ignored."""
-        mean, log_spread = self._recognise(features, chunk, mask)
+        mean, log_spread = self._recognize(features, chunk, mask)
         z = mean + log_spread.exp() * draw_noise(mean.shape, generator, mean.device)
         error = masked_mean((self._decode(features, z) - chunk).abs(), mask)
         divergence = 0.5 * (mean.square() + (2 * log_spread).exp() - 1) - log_spread  # (B, Z) nats
@@ -72,10 +72,12 @@ class CVAEHead(Head):
         """The chunk of the most likely z."""
         return self._guided(features, features.new_zeros(len(features), self.config.latent), guidance)
 
-    def _recognise(self, features: Tensor, chunk: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    def _recognize(self, features: Tensor, chunk: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and log standard deviation of z, each (B, Z)."""
         shown = torch.where(mask.unsqueeze(-1), chunk, 0.0).flatten(1)
-        mean, log_spread = self.recogniser(torch.cat([features, shown, mask.to(shown.dtype)], dim=-1)).chunk(2, dim=-1)
+        mean, log_spread = self.posterior_encoder(torch.cat([features, shown, mask.to(shown.dtype)], dim=-1)).chunk(
+            2, dim=-1
+        )
         return mean, log_spread.clamp(-5, 2)
 
     def _decode(self, features: Tensor, z: Tensor) -> Tensor:

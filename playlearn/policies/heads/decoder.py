@@ -51,15 +51,15 @@ class _Layer(nn.Module):
         self.heads = heads
         self.before, self.between = nn.LayerNorm(width), nn.LayerNorm(width)
         self.project = nn.Linear(width, 3 * width)
-        self.mix = nn.Linear(width, width)
-        self.rise, self.fall = nn.Linear(width, 4 * width), nn.Linear(4 * width, width)
+        self.attn_out = nn.Linear(width, width)
+        self.mlp_up, self.mlp_down = nn.Linear(width, 4 * width), nn.Linear(4 * width, width)
 
     def forward(self, hidden: Tensor, *, causal: bool) -> Tensor:
         parts = self.project(self.before(hidden)).unflatten(-1, (3, self.heads, -1)).transpose(1, 3)  # (B, h, 3, L, d)
         query, key, value = parts.unbind(2)
         seen = functional.scaled_dot_product_attention(query, key, value, is_causal=causal)
-        hidden = hidden + self.mix(seen.transpose(1, 2).flatten(2))
-        out: Tensor = hidden + self.fall(functional.gelu(self.rise(self.between(hidden))))
+        hidden = hidden + self.attn_out(seen.transpose(1, 2).flatten(2))
+        out: Tensor = hidden + self.mlp_down(functional.gelu(self.mlp_up(self.between(hidden))))
         return out
 
 
@@ -67,14 +67,14 @@ class _Step:
     """A layer at one position; past (2, B h, positions, d), keys and values, filled as it goes."""
 
     def __init__(self, layer: _Layer, batch: int, positions: int) -> None:
-        like = layer.mix.weight
+        like = layer.attn_out.weight
         self._rows, self._width = batch * layer.heads, like.shape[0]
         self._depth = self._width // layer.heads
         self._shape = batch, 3, layer.heads, self._depth
         self._past = like.new_empty(2, self._rows, positions, self._depth)
         self._before, self._between = _norm(layer.before), _norm(layer.between)
-        self._project, self._mix = _linear(layer.project), _linear(layer.mix)
-        self._rise, self._fall = _linear(layer.rise), _linear(layer.fall)
+        self._project, self._attn_out = _linear(layer.project), _linear(layer.attn_out)
+        self._mlp_up, self._mlp_down = _linear(layer.mlp_up), _linear(layer.mlp_down)
 
     def next(self, hidden: Tensor, seen: int) -> Tensor:
         parts = _times(functional.layer_norm(hidden, *self._before), self._project)
@@ -83,9 +83,9 @@ class _Step:
         keys, values = self._past[:, :, : seen + 1].unbind()  # (B h, n, d)
         share = torch.bmm(keys, parts[0].unsqueeze(-1)).mul_(self._depth**-0.5).softmax(1)  # (B h, n, 1)
         found = torch.bmm(share.transpose(1, 2), values).view(-1, self._width)
-        hidden = hidden + _times(found, self._mix)
-        inner = functional.gelu(_times(functional.layer_norm(hidden, *self._between), self._rise))
-        return hidden + _times(inner, self._fall)
+        hidden = hidden + _times(found, self._attn_out)
+        inner = functional.gelu(_times(functional.layer_norm(hidden, *self._between), self._mlp_up))
+        return hidden + _times(inner, self._mlp_down)
 
 
 Linear = tuple[Tensor, Tensor]  # bias, and the weight as a product wants it

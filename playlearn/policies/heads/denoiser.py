@@ -13,19 +13,19 @@ class Denoiser(nn.Module):
 
     def __init__(self, width: int, blocks: int, times: int, features: int, out: int) -> None:
         super().__init__()
-        self.enter = nn.Linear(out, width)
+        self.in_proj = nn.Linear(out, width)
         self.from_features = nn.Linear(features, blocks * 2 * width)
         self.from_time = nn.Sequential(nn.Linear(64, 128), nn.SiLU(), nn.Linear(128, blocks * 2 * width))
         self.blocks = nn.ModuleList(_Block(width) for _ in range(blocks))
-        self.leave = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, out))
+        self.out_proj = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, out))
         self.register_buffer("times", _sinusoids(times, 64), persistent=False)
 
     def forward(self, noisy: Tensor, time: Tensor, features: Tensor) -> Tensor:
         film = self.from_features(features) + self._film(time)  # (N, B, 2 W blocks)
-        hidden = self.enter(noisy)  # (N, B, W)
+        hidden = self.in_proj(noisy)  # (N, B, W)
         for block, modulation in zip(self.blocks, film.chunk(len(self.blocks), dim=-1), strict=True):
             hidden = block(hidden, modulation)
-        out: Tensor = self.leave(hidden)
+        out: Tensor = self.out_proj(hidden)
         return out
 
     def _film(self, time: Tensor) -> Tensor:

@@ -53,57 +53,59 @@ class FastHead(Head):
         self.longest = chunk * actions + 1  # every letter a word, and the end
         self.register_buffer("cosines", _cosines(chunk), persistent=False)
         self.register_buffer("words", torch.zeros(BYTES, dtype=torch.uint8))  # the tokenizer's JSON, then zeros
-        self.enter = nn.Linear(width, config.width)
-        self.told = nn.Embedding(config.vocabulary + 1, config.width)
-        self.places = nn.Parameter(torch.randn(self.longest, config.width) * 0.1)
+        self.in_proj = nn.Linear(width, config.width)
+        self.token_embedding = nn.Embedding(config.vocabulary + 1, config.width)
+        self.pos_embedding = nn.Parameter(torch.randn(self.longest, config.width) * 0.1)
         self.decoder = Decoder(config.width, config.layers, config.heads)
-        self.leave = nn.Linear(config.width, config.vocabulary + 1)
+        self.out_proj = nn.Linear(config.width, config.vocabulary + 1)
         self._learn([])
         self.register_load_state_dict_post_hook(lambda head, _: head._read())  # type: ignore[no-untyped-call]
 
-    def fit(self, chunks: Tensor) -> None:
+    def fit_action_statistics(self, chunks: Tensor) -> None:
         """Learn the words; of single actions, those that follow one another make a chunk."""
         steps, count = chunks.flatten(0, 1), chunks.shape[0] * chunks.shape[1] // self.shape[0]
         whole = steps[: count * self.shape[0]].reshape(count, *self.shape)
         self._learn(self._texts(whole[:: max(1, len(whole) // CHUNKS)]))
 
-    def sentences(self, chunk: Tensor) -> Tensor:
+    def token_ids_of(self, chunk: Tensor) -> Tensor:
         """(B, H, A) -> (B, L) words and the end, which also fills up the shorter ones."""
-        said = [encoding.ids for encoding in self._tokenizer.encode_batch(self._texts(chunk))]
-        rows = [ids + [self.end] * (max(map(len, said)) + 1 - len(ids)) for ids in said]
+        token_ids = [encoding.ids for encoding in self._tokenizer.encode_batch(self._texts(chunk))]
+        rows = [ids + [self.end] * (max(map(len, token_ids)) + 1 - len(ids)) for ids in token_ids]
         return torch.tensor(rows, device=chunk.device)
 
-    def numbers(self, said: Tensor) -> Tensor:
+    def numbers(self, token_ids: Tensor) -> Tensor:
         """(B, L) words -> (B, H, A); what is too short goes on with zeros, what is too long is cut."""
         rows = []
-        for ids in said.tolist():
+        for ids in token_ids.tolist():
             ids = ids[: ids.index(self.end)] if self.end in ids else ids
-            letters = [letter for word in ids for letter in self._spelled[word]][: self.longest - 1]
+            letters = [letter for token_id in ids for letter in self._spelled[token_id]][: self.longest - 1]
             rows.append(letters + [0] * (self.longest - 1 - len(letters)))
-        found = torch.tensor(rows, dtype=torch.float32, device=said.device).view(-1, *self.shape) / self.config.scale
+        found = (
+            torch.tensor(rows, dtype=torch.float32, device=token_ids.device).view(-1, *self.shape) / self.config.scale
+        )
         return torch.einsum("fh,bfa->bha", self.get_buffer("cosines"), found)
 
     def loss(
         self, features: Tensor, chunk: Tensor, mask: Tensor, generator: torch.Generator
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """Cross-entropy in nats a word; a chunk cut short goes on as its last action, an empty one is left out."""
-        said = self.sentences(_held(chunk.detach(), mask))
-        before = functional.pad(self.told(said[:, :-1]), (0, 0, 1, 0))
-        hidden = self.enter(features).unsqueeze(1) + self.places[: said.shape[1]] + before
-        logits = self.leave(self.decoder(hidden))  # (B, L, V + 1)
-        missed = functional.cross_entropy(logits.transpose(1, 2), said, reduction="none")
-        ended = (said == self.end).cumsum(1)
+        token_ids = self.token_ids_of(_held(chunk.detach(), mask))
+        before = functional.pad(self.token_embedding(token_ids[:, :-1]), (0, 0, 1, 0))
+        hidden = self.in_proj(features).unsqueeze(1) + self.pos_embedding[: token_ids.shape[1]] + before
+        logits = self.out_proj(self.decoder(hidden))  # (B, L, V + 1)
+        missed = functional.cross_entropy(logits.transpose(1, 2), token_ids, reduction="none")
+        ended = (token_ids == self.end).cumsum(1)
         weight = (ended <= 1) & mask.any(1, keepdim=True)  # the end itself is to be said, once
         count = weight.sum().clamp(min=1)
-        words = count / mask.any(1).sum().clamp(min=1)
-        return torch.where(weight, missed, 0.0).sum() / count, {"words": words}
+        tokenizer_bytes = count / mask.any(1).sum().clamp(min=1)
+        return torch.where(weight, missed, 0.0).sum() / count, {"words": tokenizer_bytes}
 
     def sample(self, features: Tensor, generator: Generators, guidance: Guidance | None = None) -> Tensor:
-        luck = torch.special.ndtr(draw_noise((len(features), self.longest), generator, features.device))
+        uniforms = torch.special.ndtr(draw_noise((len(features), self.longest), generator, features.device))
 
         def choose(logits: Tensor, place: int) -> Tensor:
             below = top((logits / self.config.temperature).softmax(-1), self.config.top_p).cumsum(-1)
-            drawn = luck[:, place, None] * below[:, -1:]
+            drawn = uniforms[:, place, None] * below[:, -1:]
             return torch.searchsorted(below, drawn).squeeze(-1).clamp_(max=self.end)
 
         return self._decode(features, guidance, choose)
@@ -113,19 +115,19 @@ class FastHead(Head):
         return self._decode(features, guidance, lambda logits, _: logits.argmax(-1))
 
     def _decode(self, features: Tensor, guidance: Guidance | None, choose: Callable[[Tensor, int], Tensor]) -> Tensor:
-        given = self.enter(features if guidance is None else torch.cat([features, guidance.features]))
+        given = self.in_proj(features if guidance is None else torch.cat([features, guidance.features]))
         turns = self.decoder.steps(len(given), self.longest)
-        said: list[Tensor] = []
+        token_ids: list[Tensor] = []
         hidden, ended = given, torch.zeros(len(features), dtype=torch.bool, device=features.device)
-        for place, here in enumerate(self.places.unbind()):
-            word = choose(guided(self.leave(turns.next(hidden + here)), guidance), place)
-            said.append(word)
-            ended = ended | (word == self.end)
+        for place, here in enumerate(self.pos_embedding.unbind()):
+            token_id = choose(guided(self.out_proj(turns.next(hidden + here)), guidance), place)
+            token_ids.append(token_id)
+            ended = ended | (token_id == self.end)
             if ended.all():
                 break
-            before = self.told(word)
+            before = self.token_embedding(token_id)
             hidden = given + (before if guidance is None else before.repeat(2, 1))
-        return self.numbers(torch.stack(said, dim=1))
+        return self.numbers(torch.stack(token_ids, dim=1))
 
     def _texts(self, chunk: Tensor) -> list[str]:
         """A letter for each rounded coefficient, the lowest frequency of every action first."""
@@ -151,9 +153,9 @@ class FastHead(Head):
 
         written = bytes(self.get_buffer("words").cpu().numpy()).rstrip(b"\0").decode()
         self._tokenizer: Any = Tokenizer.from_str(written)
-        words = {number: word for word, number in self._tokenizer.get_vocab().items()}
+        tokenizer_bytes = {number: token_id for token_id, number in self._tokenizer.get_vocab().items()}
         # a word that was never made spells nothing
-        self._spelled = [[ord(c) - FIRST - MOST for c in words.get(i, "")] for i in range(self.end + 1)]
+        self._spelled = [[ord(c) - FIRST - MOST for c in tokenizer_bytes.get(i, "")] for i in range(self.end + 1)]
 
 
 def _held(chunk: Tensor, mask: Tensor) -> Tensor:

@@ -1,6 +1,7 @@
-"""Latent plans from play (Lynch et al. 2019): what a stretch of play did, named by a recogniser that sees it whole.
+"""Latent plans from play (Lynch et al. 2019): what a stretch of play did, named by a posterior encoder that
+sees it whole.
 
-The window is the chunk. In training a recogniser reads the whole of it and names its plan z; a proposer,
+The window is the chunk. In training a posterior encoder reads the whole of it and names its plan z; a proposer,
 which sees only the present and the goal, learns to propose such plans; a decoder acts on the plan. To act,
 a plan is drawn from the proposer, and its draw is kept for `keep` chunks: what is chosen among several
 possible plans is then one choice, while what it means follows what is seen.
@@ -19,14 +20,14 @@ from playlearn.policies.heads.base import Generators, Guidance, Head, HeadConfig
 class LatentPlanConfig(HeadConfig):
     """latent: numbers in a plan. hidden: units of each hidden layer. keep: chunks acted on with one draw.
 
-    kl: weight of the divergence of recogniser and proposer, against the error of one number of the chunk.
-    balance: share of it that moves the proposer towards the recogniser, rather than the other way round
+    kl: weight of the divergence of posterior_encoder and proposer, against the error of one number of the chunk.
+    balance: share of it that moves the proposer towards the posterior_encoder, rather than the other way round
     (KL balancing, Hafner et al. 2021). free: nats a latent number may differ without being charged.
     """
 
     latent: int = 16
     hidden: int = 256
-    keep: int = 2
+    noise_repeat: int = 2
     kl: float = 0.01
     balance: float = 0.8
     free: float = 0.02
@@ -40,25 +41,25 @@ class _Plans:
     """A normal distribution over plans: mean and log standard deviation, each (B, Z)."""
 
     mean: Tensor
-    log_spread: Tensor
+    log_std: Tensor
 
     def draw(self, noise: Tensor) -> Tensor:
-        return self.mean + self.log_spread.exp() * noise
+        return self.mean + self.log_std.exp() * noise
 
     def detached(self) -> "_Plans":
-        return _Plans(self.mean.detach(), self.log_spread.detach())
+        return _Plans(self.mean.detach(), self.log_std.detach())
 
 
 class LatentPlanHead(Head):
     def __init__(self, config: LatentPlanConfig, width: int, chunk: int, actions: int) -> None:
         super().__init__()
         self.config = config
-        self.keep = config.keep
+        self.noise_repeat = config.noise_repeat
         self.shape = (chunk, actions)
         hidden, latent = config.hidden, config.latent
         # Both ways along the window, as a plan is told by all of it.
         self.reader = nn.GRU(actions + 1, hidden // 2, batch_first=True, bidirectional=True)
-        self.recogniser = _mlp(width + hidden, hidden, 2 * latent)
+        self.posterior_encoder = _mlp(width + hidden, hidden, 2 * latent)
         self.proposer = _mlp(width, hidden, 2 * latent)
         self.decoder = nn.Sequential(
             _mlp(width + latent, hidden, hidden), nn.GELU(), nn.Linear(hidden, chunk * actions)
@@ -69,7 +70,7 @@ class LatentPlanHead(Head):
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """`proposed`: the error with the proposer's plan, which is what acting will see."""
         config = self.config
-        seen, proposed = self._recognise(features, chunk, mask), _plans(self.proposer(features))
+        seen, proposed = self._recognize(features, chunk, mask), _plans(self.proposer(features))
         noise = draw_noise(seen.mean.shape, generator, seen.mean.device)
         error = masked_mean((self._decode(features, seen.draw(noise)) - chunk).abs(), mask)
         forward, back = _divergence(seen.detached(), proposed), _divergence(seen, proposed.detached())
@@ -96,10 +97,10 @@ class LatentPlanHead(Head):
         other = self._decode(guidance.features, _plans(self.proposer(guidance.features)).draw(noise))
         return guidance.combine(chunk, other)
 
-    def _recognise(self, features: Tensor, chunk: Tensor, mask: Tensor) -> _Plans:
+    def _recognize(self, features: Tensor, chunk: Tensor, mask: Tensor) -> _Plans:
         shown = torch.where(mask.unsqueeze(-1), chunk, 0.0)
         read = self.reader(torch.cat([shown, mask.unsqueeze(-1).to(shown.dtype)], dim=-1))[0].mean(1)  # (B, hidden)
-        return _plans(self.recogniser(torch.cat([features, read], dim=-1)))
+        return _plans(self.posterior_encoder(torch.cat([features, read], dim=-1)))
 
     def _decode(self, features: Tensor, plan: Tensor) -> Tensor:
         chunk: Tensor = self.decoder(torch.cat([features, plan], dim=-1)).unflatten(-1, self.shape)
@@ -111,12 +112,12 @@ def _mlp(inputs: int, hidden: int, out: int) -> nn.Sequential:
 
 
 def _plans(parameters: Tensor) -> _Plans:
-    mean, log_spread = parameters.chunk(2, dim=-1)
-    return _Plans(mean, log_spread.clamp(-5, 2))
+    mean, log_std = parameters.chunk(2, dim=-1)
+    return _Plans(mean, log_std.clamp(-5, 2))
 
 
 def _divergence(one: _Plans, other: _Plans) -> Tensor:
     """(Z,) Kullback-Leibler divergence of `one` from `other` in nats, the mean over the batch."""
-    ratio = 2 * (one.log_spread - other.log_spread)
-    off = (one.mean - other.mean) / other.log_spread.exp()
+    ratio = 2 * (one.log_std - other.log_std)
+    off = (one.mean - other.mean) / other.log_std.exp()
     return (0.5 * (ratio.exp() + off.square() - 1 - ratio)).mean(0)

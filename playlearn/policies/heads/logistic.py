@@ -1,8 +1,8 @@
-"""A mixture of discretised logistics (Salimans et al. 2017), the law of play papers (Lynch et al. 2019).
+"""A mixture of discretized logistics (Salimans et al. 2017), the law of play papers (Lynch et al. 2019).
 
 A number is one of `bins` values, and has the share of the logistic distribution that falls into its bin; the first and
 the last bin have the tails. As no share is above one, being sure of what hardly scatters is worth no more than that,
-where a density without a floor under its spread would grow without end.
+where a density without a floor under its scale would grow without end.
 """
 
 import math
@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn.functional import logsigmoid
 
 from playlearn.policies.heads.base import HeadConfig
-from playlearn.policies.heads.mog import Law, MixtureConfig, MixtureHead
+from playlearn.policies.heads.mog import ComponentDistribution, MixtureConfig, MixtureHead
 
 LIMIT = 5.0  # standard deviations that the bins span before `fit` has seen any data
 
@@ -29,15 +29,15 @@ class LogisticConfig(HeadConfig):
     components: int = 5
     bins: int = 256
     hidden: int = 256
-    spread: tuple[float, float] = (0.05, 2.0)
+    scale_range: tuple[float, float] = (0.05, 2.0)
     temperature: float = 1.0
 
     def build(self, width: int, chunk: int, actions: int) -> MixtureHead:
-        mixture = MixtureConfig(self.components, self.hidden, self.spread, self.temperature)
+        mixture = MixtureConfig(self.components, self.hidden, self.scale_range, self.temperature)
         return MixtureHead(mixture, width, chunk, actions, Logistic(self.bins, actions))
 
 
-class Logistic(Law):
+class Logistic(ComponentDistribution):
     """low (A,), the first bin's lower edge, and width (A,) of a bin."""
 
     low: Tensor
@@ -49,17 +49,17 @@ class Logistic(Law):
         self.register_buffer("low", torch.full((actions,), -LIMIT))
         self.register_buffer("width", torch.full((actions,), 2 * LIMIT / bins))
 
-    def fit(self, chunks: Tensor) -> None:
+    def fit_action_statistics(self, chunks: Tensor) -> None:
         values = chunks.flatten(0, -2)
         low, high = values.min(0).values, values.max(0).values
         self.low.copy_(low)
         self.width.copy_((high - low).clamp(min=1e-3) / self.bins)
 
-    def log_prob(self, shown: Tensor, mean: Tensor, log_spread: Tensor) -> Tensor:
+    def log_prob(self, shown: Tensor, mean: Tensor, log_scale: Tensor) -> Tensor:
         """Log of the share of the number's bin over the bin's width; what is beyond all bins counts to the nearest."""
         place = self._bin(shown)
         below = self.low + place * self.width
-        scale = log_spread.exp() * (math.sqrt(3) / math.pi)  # of a logistic that has this standard deviation
+        scale = log_scale.exp() * (math.sqrt(3) / math.pi)  # of a logistic that has this standard deviation
         lower, upper = (below - mean) / scale, (below + self.width - mean) / scale
         # sigmoid(u) - sigmoid(l) = sigmoid(u) sigmoid(-l) (1 - exp(l - u)), which loses nothing far out
         inner = logsigmoid(upper) + logsigmoid(-lower) + torch.log(-torch.expm1(-self.width / scale))
@@ -70,10 +70,10 @@ class Logistic(Law):
     def possible(self, shown: Tensor) -> Tensor:
         return (shown >= self.low) & (shown <= self.low + self.bins * self.width)
 
-    def draw(self, mean: Tensor, spread: Tensor, normal: Tensor) -> Tensor:
+    def draw(self, mean: Tensor, scale: Tensor, normal: Tensor) -> Tensor:
         uniform = torch.special.ndtr(normal.double()).clamp(1e-12, 1 - 1e-12)
         scattered = torch.special.logit(uniform).to(mean.dtype) * (math.sqrt(3) / math.pi)
-        return self.nearest(mean + spread * scattered)
+        return self.nearest(mean + scale * scattered)
 
     def nearest(self, numbers: Tensor) -> Tensor:
         """The middle of the bin that each falls into."""

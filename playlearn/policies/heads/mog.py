@@ -1,4 +1,4 @@
-"""A mixture of Gaussians over whole chunks (Bishop, 1994): several answers, each with its weight and its spread."""
+"""A mixture of Gaussians over whole chunks (Bishop, 1994): several answers, each with its weight and its std."""
 
 import math
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from playlearn.policies.heads.base import Generators, Guidance, Head, HeadConfig
 class MixtureConfig(HeadConfig):
     """components: K. hidden: units of its one hidden layer.
 
-    spread: least and greatest standard deviation, in those of the data. Scripted labels hardly scatter, and a
+    std_range: least and greatest standard deviation, in those of the data. Scripted labels hardly scatter, and a
     likelihood without a floor is won by being sure of what is sure anyway (that the gripper stays as it is)
     and not by being right where it matters: a floor of 0.02 cost most of the goals. temperature: sharpens (< 1)
     or flattens the weights, and scales the spreads, of what is sampled.
@@ -22,7 +22,7 @@ class MixtureConfig(HeadConfig):
 
     components: int = 5
     hidden: int = 256
-    spread: tuple[float, float] = (0.1, 2.0)
+    std_range: tuple[float, float] = (0.1, 2.0)
     temperature: float = 1.0
 
     def build(self, width: int, chunk: int, actions: int) -> "MixtureHead":
@@ -31,20 +31,20 @@ class MixtureConfig(HeadConfig):
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """logits (B, K), mean and log_spread (B, K, H, A)."""
+    """logits (B, K), mean and log_std (B, K, H, A)."""
 
     logits: Tensor
     mean: Tensor
-    log_spread: Tensor
+    log_std: Tensor
 
 
-class Law(nn.Module):
-    """How a number scatters about a component's mean; mean and log_spread (..., H, A)."""
+class ComponentDistribution(nn.Module):
+    """How a number scatters about a component's mean; mean and log_std (..., H, A)."""
 
-    def fit(self, chunks: Tensor) -> None:
+    def fit_action_statistics(self, chunks: Tensor) -> None:
         """As of `Head`."""
 
-    def log_prob(self, shown: Tensor, mean: Tensor, log_spread: Tensor) -> Tensor:
+    def log_prob(self, shown: Tensor, mean: Tensor, log_std: Tensor) -> Tensor:
         """(..., H, A) log density of each number, for a loss: nowhere minus infinity."""
         raise NotImplementedError
 
@@ -52,7 +52,7 @@ class Law(nn.Module):
         """(..., H, A) bool, whether such a number can come at all."""
         return torch.ones_like(shown, dtype=torch.bool)
 
-    def draw(self, mean: Tensor, spread: Tensor, normal: Tensor) -> Tensor:
+    def draw(self, mean: Tensor, std: Tensor, normal: Tensor) -> Tensor:
         """Standard normal numbers as draws."""
         raise NotImplementedError
 
@@ -61,25 +61,25 @@ class Law(nn.Module):
         return numbers
 
 
-class Gaussian(Law):
-    def log_prob(self, shown: Tensor, mean: Tensor, log_spread: Tensor) -> Tensor:
-        off = (shown - mean) / log_spread.exp()
-        return -0.5 * off.square() - log_spread - 0.5 * math.log(2 * math.pi)
+class Gaussian(ComponentDistribution):
+    def log_prob(self, shown: Tensor, mean: Tensor, log_std: Tensor) -> Tensor:
+        off = (shown - mean) / log_std.exp()
+        return -0.5 * off.square() - log_std - 0.5 * math.log(2 * math.pi)
 
-    def draw(self, mean: Tensor, spread: Tensor, normal: Tensor) -> Tensor:
-        return mean + spread * normal
+    def draw(self, mean: Tensor, std: Tensor, normal: Tensor) -> Tensor:
+        return mean + std * normal
 
 
 class MixtureHead(Head):
-    def __init__(self, config: MixtureConfig, width: int, chunk: int, actions: int, law: Law) -> None:
+    def __init__(self, config: MixtureConfig, width: int, chunk: int, actions: int, law: ComponentDistribution) -> None:
         super().__init__()
         self.config, self.law = config, law
         self.shape = (config.components, chunk, actions)
         self.sizes = (config.components, math.prod(self.shape), math.prod(self.shape))
         self.net = nn.Sequential(nn.Linear(width, config.hidden), nn.GELU(), nn.Linear(config.hidden, sum(self.sizes)))
 
-    def fit(self, chunks: Tensor) -> None:
-        self.law.fit(chunks)
+    def fit_action_statistics(self, chunks: Tensor) -> None:
+        self.law.fit_action_statistics(chunks)
 
     def loss(
         self, features: Tensor, chunk: Tensor, mask: Tensor, generator: torch.Generator
@@ -92,7 +92,7 @@ class MixtureHead(Head):
         return -self._log_prob(mixture, chunk, mask).sum() / numbers, {"components_used": used}
 
     def log_prob(self, features: Tensor, chunk: Tensor, mask: Tensor) -> Tensor:
-        """(B,) log density of the actions that `mask` (B, H) leaves, in normalised action space."""
+        """(B,) log density of the actions that `mask` (B, H) leaves, in normalized action space."""
         never = (~self.law.possible(chunk)).any(-1) & mask  # (B, H)
         return self._log_prob(self._mixture(features, None), chunk, mask).masked_fill(never.any(1), -torch.inf)
 
@@ -101,18 +101,18 @@ class MixtureHead(Head):
         gumbel = _gumbel(draw_noise(mixture.logits.shape, generator, features.device))
         chosen = (mixture.logits / temperature + gumbel).argmax(-1)  # a draw from the weights
         noise = draw_noise((len(features), *self.shape[1:]), generator, features.device)
-        return self.law.draw(_of(mixture.mean, chosen), temperature * _of(mixture.log_spread, chosen).exp(), noise)
+        return self.law.draw(_of(mixture.mean, chosen), temperature * _of(mixture.log_std, chosen).exp(), noise)
 
     def mode(self, features: Tensor, guidance: Guidance | None = None) -> Tensor:
-        """The centre of the component whose peak is the highest."""
+        """The center of the component whose peak is the highest."""
         mixture = self._mixture(features, guidance)
-        peak = mixture.logits - mixture.log_spread.sum((-2, -1))
+        peak = mixture.logits - mixture.log_std.sum((-2, -1))
         return self.law.nearest(_of(mixture.mean, peak.argmax(-1)))
 
     def _log_prob(self, mixture: Mixture, chunk: Tensor, mask: Tensor) -> Tensor:
         # where(), not a product: a masked action may be anything, NaN included
         shown = torch.where(mask.unsqueeze(-1), chunk, 0.0).unsqueeze(1)  # (B, 1, H, A)
-        each = self.law.log_prob(shown, mixture.mean, mixture.log_spread)  # (B, K, H, A)
+        each = self.law.log_prob(shown, mixture.mean, mixture.log_std)  # (B, K, H, A)
         whole = torch.where(mask[:, None, :, None], each, 0.0).sum((-2, -1))
         weights = torch.where(mask.any(1, keepdim=True), mixture.logits.log_softmax(-1), 0.0)
         total = torch.logsumexp(weights + whole, dim=-1)
@@ -122,10 +122,10 @@ class MixtureHead(Head):
         parameters = self.net(features)
         if guidance is not None:
             parameters = guidance.combine(parameters, self.net(guidance.features))
-        logits, mean, spread = parameters.split(self.sizes, dim=-1)
-        low, high = (math.log(bound) for bound in self.config.spread)
-        log_spread = low + (high - low) * torch.sigmoid(spread + 1.0)
-        return Mixture(logits, mean.unflatten(-1, self.shape), log_spread.unflatten(-1, self.shape))
+        logits, mean, std = parameters.split(self.sizes, dim=-1)
+        low, high = (math.log(bound) for bound in self.config.std_range)
+        log_std = low + (high - low) * torch.sigmoid(std + 1.0)
+        return Mixture(logits, mean.unflatten(-1, self.shape), log_std.unflatten(-1, self.shape))
 
 
 def _of(values: Tensor, chosen: Tensor) -> Tensor:

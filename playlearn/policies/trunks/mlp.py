@@ -23,18 +23,18 @@ class MLPConfig(TrunkConfig):
 class MLP(Trunk):
     def __init__(self, config: MLPConfig, tokens: int) -> None:
         super().__init__()
-        self.enter = nn.Linear(tokens * config.width, config.hidden)
+        self.in_proj = nn.Linear(tokens * config.width, config.hidden)
         self.layers = nn.ModuleList(
             nn.Sequential(nn.LayerNorm(config.hidden), nn.Linear(config.hidden, config.hidden), nn.GELU())
             for _ in range(config.layers)
         )
-        self.leave = nn.Sequential(nn.LayerNorm(config.hidden), nn.Linear(config.hidden, config.width))
+        self.out_proj = nn.Sequential(nn.LayerNorm(config.hidden), nn.Linear(config.hidden, config.width))
 
     def forward(self, tokens: Tensor, mask: Tensor | None) -> Tensor:
         if mask is not None:
             tokens = torch.where(mask.unsqueeze(-1), tokens, 0.0)
-        hidden = self.enter(tokens.flatten(1))  # (B, hidden)
+        hidden = self.in_proj(tokens.flatten(1))  # (B, hidden)
         for layer in self.layers:
             hidden = hidden + layer(hidden)
-        features: Tensor = self.leave(hidden)  # (B, D)
+        features: Tensor = self.out_proj(hidden)  # (B, D)
         return features

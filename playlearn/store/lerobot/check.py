@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from playlearn.episode import Array
 from playlearn.errors import StoreError
-from playlearn.store.lerobot.opening import Description, Row, read_parquet
+from playlearn.store.lerobot.metadata import Description, Row, read_parquet
 
 NAMED = 40  # problems in one message
 NUMBERS = ("episode_index", "frame_index", "index", "timestamp")

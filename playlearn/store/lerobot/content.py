@@ -43,7 +43,7 @@ class Entry:
     columns: Mapping[str, Array]
     tasks: tuple[str, ...]
     subtasks: tuple[tuple[int, str], ...] = ()
-    rest: tuple[int, Episode] | None = None
+    sidecar: tuple[int, Episode] | None = None
 
     def __len__(self) -> int:
         return len(self.columns[ACTION])
@@ -91,10 +91,10 @@ class Play:
         reached = np.zeros((len(episode), 1), np.bool_)
         reached[-1] = episode.meta.ended == REACHED
         columns = steps(episode, 0, len(episode)) | ({SUCCESS: reached} if self.knows else {})
-        rest = int(self.store.indices()[i]), episode
+        sidecar = int(self.store.indices()[i]), episode
         spoken = subtasks(episode, 0, len(episode)) if self.annotated else ()
         skills = [PLAY] * len(episode) if self.annotated else words(episode)
-        return Entry(columns, tuple(episode.meta.task or skill or PLAY for skill in skills), spoken, rest)
+        return Entry(columns, tuple(episode.meta.task or skill or PLAY for skill in skills), spoken, sidecar)
 
 
 def steps(episode: Episode, begin: int, end: int) -> dict[str, Array]:

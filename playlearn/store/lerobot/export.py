@@ -14,11 +14,11 @@ import numpy as np
 from playlearn.episode import IMAGES, Array
 from playlearn.errors import StoreError
 from playlearn.store.base import Store
-from playlearn.store.lerobot import rest, subtasks
+from playlearn.store.lerobot import sidecar, subtasks
 from playlearn.store.lerobot.check import numbers
 from playlearn.store.lerobot.content import Content, Entry, Play, robot
 from playlearn.store.lerobot.frames import decoded
-from playlearn.store.lerobot.opening import Description, describe, is_lerobot
+from playlearn.store.lerobot.metadata import Description, describe, is_lerobot
 
 type Codec = Literal["av1", "h264"]
 type Said = Callable[[int, int], None]  # (episodes done, episodes in all)
@@ -157,8 +157,8 @@ def _write(content: Content, root: Path, name: str, videos: Codec | None, progre
                 dataset.add_frame(frame)
             dataset.save_episode()
             spoken[i] = entry.subtasks
-            if entry.rest is not None:
-                rest.keep(root, i, *entry.rest)
+            if entry.sidecar is not None:
+                sidecar.keep(root, i, *entry.sidecar)
             if progress:
                 progress(i + 1, len(content))
     finally:

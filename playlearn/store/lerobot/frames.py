@@ -14,7 +14,7 @@ from PIL import Image
 
 from playlearn.episode import Array
 from playlearn.errors import StoreError
-from playlearn.store.lerobot.opening import UNREADABLE, Camera, Clip, Description, Row
+from playlearn.store.lerobot.metadata import UNREADABLE, Camera, Clip, Description, Row
 
 Size = tuple[int, int]
 

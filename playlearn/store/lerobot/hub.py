@@ -5,12 +5,12 @@ from pathlib import Path
 
 from playlearn.errors import StoreError
 from playlearn.store.lerobot.config import LeRobotStoreConfig
-from playlearn.store.lerobot.opening import is_lerobot
+from playlearn.store.lerobot.metadata import is_lerobot
 
 TAG = "v3.0"  # under which a dataset of this version stands on the Hub
 
 
-def found(config: LeRobotStoreConfig) -> Path:
+def resolve_dataset(config: LeRobotStoreConfig) -> Path:
     """The dataset's folder.
 
     Raises:

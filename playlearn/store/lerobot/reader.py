@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from playlearn.episode import IMAGES, STORED, Array, Episode, EpisodeMeta
 from playlearn.errors import EpisodeError, StoreError
 from playlearn.store.base import StoreSpec, summary
-from playlearn.store.lerobot import check, rest
+from playlearn.store.lerobot import check, sidecar
 from playlearn.store.lerobot.config import LeRobotStoreConfig, cache_folder
 from playlearn.store.lerobot.frames import Size, decoded, scaled
-from playlearn.store.lerobot.hub import found
-from playlearn.store.lerobot.opening import Description, Row, describe
-from playlearn.store.maps import Maps
+from playlearn.store.lerobot.hub import resolve_dataset
+from playlearn.store.lerobot.metadata import Description, Row, describe
+from playlearn.store.mmap_cache import Maps
 from playlearn.store.tensors import map_tensors, read_header, write_tensors
 
 UNKNOWN = -1  # of the seed
@@ -40,10 +40,10 @@ class LeRobotStore:
         Raises:
             StoreError: there is no such dataset, it is of another version, or it is not whole; says what can be used.
         """
-        self.path = found(config)
+        self.path = resolve_dataset(config)
         described = describe(self.path)
         self._rests = {
-            row.index: rest.Rest.of(self.path, row.index) for row in described.rows if rest.is_kept(self.path)
+            row.index: sidecar.Rest.of(self.path, row.index) for row in described.rows if sidecar.is_kept(self.path)
         }
         self._ours = bool(self._rests)
         cameras = {} if config.without_images else described.cameras
@@ -156,7 +156,7 @@ class LeRobotStore:
         for part in ("state", "achieved"):
             if key == STORED[part]:
                 none = np.zeros((row.length, 0), np.float32)
-                return rest.joined(columns[self._keys[part]] if part in self._keys else none, kept, key)
+                return sidecar.joined(columns[self._keys[part]] if part in self._keys else none, kept, key)
         raise StoreError(f"{self.path} has no {key}")
 
     def _their_array(self, _i: int, row: Row, key: str) -> Array:
@@ -201,8 +201,8 @@ class LeRobotStore:
             kept = self._rests[row.index].arrays()
             for name, (height, width) in self._sizes.items():
                 key = IMAGES + name
-                last = {rest.LAST + key: scaled(kept[rest.LAST + key], (height, width))}
-                frames[key] = rest.joined(frames[key], last, key)
+                last = {sidecar.LAST + key: scaled(kept[sidecar.LAST + key], (height, width))}
+                frames[key] = sidecar.joined(frames[key], last, key)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             write_tensors(path, frames, {"source": source})
@@ -233,7 +233,7 @@ class LeRobotStore:
             except KeyError as error:
                 words = f"{kept.path} lacks {error}"
             if words:
-                words += f"; or remove {rest.FOLDER}/ to read the dataset without it"
+                words += f"; or remove {sidecar.FOLDER}/ to read the dataset without it"
                 problems.append(check.Problem(words, frozenset({row.index})))
         return problems
 

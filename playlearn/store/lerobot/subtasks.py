@@ -58,5 +58,5 @@ def _nothing(count: int) -> pa.ListArray:
 def _structs(**parts: pa.Array) -> pa.StructArray:
     """Rows that concern no camera and call no tool. Built of parts, for pyarrow makes no JSON of Python's objects."""
     n = len(parts["role"])
-    rest = {"camera": pa.nulls(n, pa.string()), "tool_calls": pa.nulls(n, pa.list_(pa.json_()))}
-    return pa.StructArray.from_arrays([*parts.values(), *rest.values()], names=[*parts, *rest])
+    sidecar = {"camera": pa.nulls(n, pa.string()), "tool_calls": pa.nulls(n, pa.list_(pa.json_()))}
+    return pa.StructArray.from_arrays([*parts.values(), *sidecar.values()], names=[*parts, *sidecar])

@@ -1,0 +1,100 @@
+"""Corrected examples among the recorded ones, the same ones in the same epoch for any number of workers."""
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from playlearn.data import Batch, Indices, PlayDataset, Recorded
+from playlearn.episode import IMAGES, Array
+from playlearn.errors import StoreError
+from playlearn.relabeling import counter_uniforms
+from playlearn.store import episode_path
+from playlearn.store.tensors import map_tensors, read_header
+
+_OPEN = 256  # files mapped at once
+_SEED = 0xC0FFEE  # so that these draws are not those of the goals
+
+
+class Corrections:
+    """The files that `make_corrections` left in a folder, as variants of a dataset's examples (`PlayDataset.vary`)."""
+
+    def __init__(self, folder: Path, dataset: PlayDataset, fraction: float) -> None:
+        """share: see `CorrectionsConfig`. Only moments from which the dataset has a goal to draw are used.
+
+        Raises:
+            StoreError: a file is missing or damaged, or there is no such moment.
+        """
+        self.folder, self.fraction, self.seed = folder, fraction, dataset.seed
+        self.cameras = dataset.config.cameras
+        numbers = dataset.store.indices()[dataset.episodes]
+        files = [_read(str(episode_path(folder, int(number)))) for number in numbers]
+        counts = [len(file["t"]) for file in files]
+        file = np.repeat(np.arange(len(files)), counts)  # (m,)
+        row = np.concatenate([np.arange(count) for count in counts])
+        moment = np.concatenate([file_["t"] for file_ in files])
+        example = _examples(dataset, dataset.episodes[file], moment)
+        usable = example >= 0
+        if not usable.any():
+            raise StoreError(
+                f"{folder} holds no displaced moment from which a goal can be drawn: take more per_episode"
+            )
+        self.numbers, self.file, self.row = numbers[file[usable]], file[usable], row[usable]
+        self.example = example[usable]
+        self.state = np.concatenate([one["observation.state"] for one in files])[usable]  # (m, S)
+        self.action = np.concatenate([one["action"] for one in files])[usable]  # (m, k, A)
+        self._cumulative = np.cumsum(dataset.probability(self.example))
+
+    def __len__(self) -> int:
+        """m, displaced moments."""
+        return len(self.example)
+
+    def __call__(self, recorded: Recorded, epoch: int | Indices, indices: Indices) -> Batch:
+        """The batch of these examples, `share` of them replaced by corrected ones, drawn as `balance` weighs them."""
+        draws = counter_uniforms(self.seed ^ _SEED, epoch, indices, 2)
+        chosen = np.flatnonzero(draws[:, 0] < self.fraction)  # (n,) places in the batch
+        rows = np.searchsorted(self._cumulative, draws[chosen, 1] * self._cumulative[-1], side="right")
+        rows = np.minimum(rows, len(self) - 1)
+        indices = indices.copy()
+        indices[chosen] = self.example[rows]
+        return self._corrected(recorded(epoch, indices), chosen, rows)
+
+    def _corrected(self, batch: Batch, places: Indices, rows: Indices) -> Batch:
+        """`batch` with displaced observations and the way back at some places; the displaced moment has no past."""
+        steps = min(self.action.shape[1], batch.action.shape[1])
+        state, action, mask = batch.state.clone(), batch.action.clone(), batch.history_mask.clone()
+        achieved = batch.achieved.clone()
+        state[places] = torch.from_numpy(self.state[rows])[:, None]
+        achieved[places] = achieved[places][:, -1:]
+        action[places, :steps] = torch.from_numpy(self.action[rows][:, :steps])
+        mask[places, :-1] = False
+        images = {camera: frames.clone() for camera, frames in batch.images.items()}
+        for camera, frames in images.items():
+            if len(rows):
+                frames[places] = torch.from_numpy(self._pictures(camera, rows))[:, None]
+        return dataclasses.replace(
+            batch, state=state, achieved=achieved, action=action, history_mask=mask, images=images
+        )
+
+    def _pictures(self, camera: str, rows: Indices) -> Array:
+        """(n, h, w, 3) uint8."""
+        paths = [str(episode_path(self.folder, int(number))) for number in self.numbers[rows]]
+        return np.stack([_read(path)[IMAGES + camera][row] for path, row in zip(paths, self.row[rows], strict=True)])
+
+
+def _examples(dataset: PlayDataset, episodes: Indices, t: Sequence[int] | Indices) -> Indices:
+    """(m,) which example of the dataset stands at each (episode, t), -1 where none does."""
+    own_episode, own_t = dataset.where(np.arange(len(dataset)))
+    longest = int(dataset.table.lengths.max()) + 1
+    keys, wanted = own_episode * longest + own_t, episodes * longest + np.asarray(t)
+    order = np.argsort(keys)
+    found = np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)
+    return np.where(keys[order[found]] == wanted, order[found], -1)
+
+
+@functools.lru_cache(maxsize=_OPEN)
+def _read(path: str) -> dict[str, Array]:
+    return map_tensors(Path(path), read_header(Path(path)).layout)

@@ -1,0 +1,61 @@
+"""The way back: from where the hand was put, to where the recorded labels would have led it, stepped for real."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from playlearn.corrections.response import offset, undoing
+from playlearn.episode import Array
+from playlearn.errors import SimulationDiverged
+from playlearn.sim import Environment
+from playlearn.sim.ik import HandDisplacement
+
+_LEFT = 0.5  # of a displacement, at most, when the way back is over
+_NEAR = (2e-3, 2e-2)  # meters and radians that count as back, however small the displacement was
+_MOVED = 1e-3  # of what goals speak of: something was knocked
+
+
+class CorrectableEnv(Environment, HandDisplacement, Protocol):
+    """What is asked of a world here."""
+
+
+def way_back(
+    env: CorrectableEnv, state: Array, labels: Array, response: Array, shift: Array, turn: Array
+) -> Array | None:
+    """(k, A) in [-1, 1]: the labels with what leads the hand back besides; None where they did not lead it back.
+
+    state: of the simulator, before the displacement by shift (3,) m and turn (3,) rad. labels: (k, A).
+    At each step 2 / k of what is still amiss is commanded: what a label adds depends on the displacement alone,
+    not on how long ago it began, so that a policy can learn it.
+    """
+    names, steps = env.spec.state_names, len(labels)
+    try:
+        path, achieved = _followed(env, state, labels)
+        env.set_state(np.array(state))
+        if not env.displace(shift, turn):
+            return None
+        corrected = labels.astype(float)
+        off = first = offset(names, env.observe().state, path[0])
+        for j in range(steps):
+            corrected[j, :6] = (corrected[j, :6] + undoing(response, off) * 2 / steps).clip(-1, 1)
+            env.step(corrected[j])
+            off = offset(names, env.observe().state, path[j + 1])
+    except SimulationDiverged:
+        return None
+    for part, near in zip((slice(0, 3), slice(3, 6)), _NEAR, strict=True):
+        if np.linalg.norm(off[part]) > max(_LEFT * float(np.linalg.norm(first[part])), near):
+            return None
+    if np.abs(env.observe().achieved - achieved).max() > _MOVED:
+        return None
+    return corrected.astype(np.float32)
+
+
+def _followed(env: CorrectableEnv, state: Array, labels: Sequence[Array] | Array) -> tuple[list[Array], Array]:
+    """The k+1 states of the robot along the recorded labels, and what was achieved in the end."""
+    env.set_state(np.array(state))
+    path = [env.observe().state]
+    for label in labels:
+        env.step(label)
+        path.append(env.observe().state)
+    return path, env.observe().achieved

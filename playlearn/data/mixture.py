@@ -1,0 +1,144 @@
+"""Several datasets in one stream of batches, each with its share; as pure a function of (seed, step) as each is."""
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+
+from playlearn.data.dataset import Batch, DataConfig, Indices, PlayDataset
+from playlearn.data.prefetch import prepared_ahead
+from playlearn.errors import UsageError
+from playlearn.store import Store, StoreConfig, open_store
+
+
+@dataclass(frozen=True)
+class DatasetSource:
+    """More play beside a run's own: what DAgger's rounds gathered, for one.
+
+    share: of all examples shown. data: how examples are cut from it (null: as from the run's own play).
+    """
+
+    store: Path | StoreConfig
+    fraction: float
+    data: DataConfig | None = None
+
+    def __post_init__(self) -> None:
+        """Raises UsageError where the share leaves nothing to one side."""
+        if not 0 < self.fraction < 1:
+            raise UsageError(f"fraction must lie between 0 and 1, both left out, got {self.fraction:g}")
+
+
+def mix_datasets(
+    own: PlayDataset, sources: Sequence[DatasetSource], seed: int, parts: Sequence[tuple["Part", float]] = ()
+) -> "PlayDataset | DatasetMixture":
+    """What a run is shown: its own play alone, or with the training part of further stores.
+
+    parts: further examples, with their shares.
+
+    Raises:
+        UsageError: the shares leave nothing to the run's own play; a store's numbers or pictures mean something else.
+        StoreError: a store is missing, or holds nothing to learn from.
+    """
+    extra = list(parts)
+    for number, source in enumerate(sources, 1):
+        store = open_store(source.store)
+        _check_same(own, store)
+        extra.append(((source.data or own.config).build(store, "train", seed + number), source.fraction))
+    return DatasetMixture(own, extra) if extra else own
+
+
+class Part(Protocol):
+    """Examples that can be dealt out."""
+
+    def at(self, places: Indices, orders: dict[int, Indices]) -> Batch:
+        """See `PlayDataset.at`."""
+        ...
+
+
+class DatasetMixture:
+    """Datasets with shares, batches as `PlayDataset.batches` gives them.
+
+    Places of the common stream are dealt out evenly, not drawn: of any n places in a row a part gets its share
+    to within one or two, and walks through its own epochs at its own pace.
+    """
+
+    def __init__(self, own: Part, extra: Sequence[tuple[Part, float]]) -> None:
+        """own: gets what the shares of the others leave.
+
+        Raises:
+            UsageError: they leave nothing.
+        """
+        fractions = [fraction for _, fraction in extra]
+        if sum(fractions) >= 1:
+            raise UsageError(
+                f"the shares of further play add up to {sum(fractions):g}: leave some of 1 to the run's own"
+            )
+        self.parts = [*(part for part, _ in extra), own]
+        left = 1.0 - np.concatenate([[0.0], np.cumsum(fractions)])
+        self._of_rest = [fraction / rest for fraction, rest in zip(fractions, left[:-1].tolist(), strict=True)]
+
+    def places(self, start: int, count: int) -> list[Indices]:
+        """For each part the places of its own stream that the common places start ... start+count-1 stand for."""
+        left, dealt = np.arange(start, start + count), []
+        for fraction in self._of_rest:
+            before, after = np.floor(left * fraction).astype(np.int64), np.floor((left + 1) * fraction).astype(np.int64)
+            mine = after > before
+            dealt.append(before[mine])
+            left = (left - after)[~mine]
+        return [*dealt, left]
+
+    def batches(self, batch_size: int, start_step: int = 0, rank: int = 0, ranks: int = 1) -> Iterator[Batch]:
+        """See `PlayDataset.batches`."""
+        orders: list[dict[int, Indices]] = [{} for _ in self.parts]
+
+        def make(step: int) -> Batch:
+            dealt = self.places((step * ranks + rank) * batch_size, batch_size)
+            return joined([p.at(at, order) for p, at, order in zip(self.parts, dealt, orders, strict=True) if len(at)])
+
+        return prepared_ahead(make, start_step)
+
+
+def joined(batches: Sequence[Batch]) -> Batch:
+    """One batch of all examples."""
+
+    def join(values: list[Any]) -> Any:
+        if not isinstance(values[0], Mapping):
+            return torch.cat(values)
+        cameras = dict.fromkeys(camera for value in values for camera in value)
+        return {camera: torch.cat(filled([value.get(camera) for value in values])) for camera in cameras}
+
+    def filled(parts: list[torch.Tensor | None]) -> list[torch.Tensor]:
+        """Keypoints that a part does not know are NaN."""
+        known = next(part for part in parts if part is not None)
+        return [
+            known.new_full((len(batch), *known.shape[1:]), torch.nan) if part is None else part
+            for batch, part in zip(batches, parts, strict=True)
+        ]
+
+    names = [entry.name for entry in dataclasses.fields(Batch)]
+    return Batch(**{name: join([getattr(batch, name) for batch in batches]) for name in names})
+
+
+def _check_same(own: PlayDataset, other: Store) -> None:
+    """Raises UsageError where an example of the other store would mean something else."""
+    mine, its = own.store.spec, other.spec
+    seen = (*own.config.cameras, *own.config.goal_cameras)
+    named = ("state_names", "achieved_names", "action_names", "fps")
+    parts: list[tuple[str, Any, Any]] = [(name, getattr(mine, name), getattr(its, name)) for name in named]
+    sizes = own.store.cameras(), other.cameras()
+    parts += [(f"size of {camera}", sizes[0].get(camera), sizes[1].get(camera)) for camera in seen]
+    apart = [f"{name} ({_differ(one, another)})" for name, one, another in parts if one != another]
+    if apart:
+        raise UsageError(f"{other.name()} has another {', '.join(apart)} than {own.store.name()}: they cannot be mixed")
+
+
+def _differ(mine: Any, its: Any) -> str:
+    """Of two lists of names what only one of them has; of anything else both."""
+    if isinstance(mine, tuple) and isinstance(its, tuple) and set(mine) != set(its):
+        sides = {"it has": [name for name in its if name not in mine], "it lacks": [n for n in mine if n not in its]}
+        return "; ".join(f"{side} {', '.join(map(str, names))}" for side, names in sides.items() if names)
+    return f"{its}, not {mine}"

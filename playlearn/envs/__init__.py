@@ -1,0 +1,26 @@
+"""The worlds one can play in: a file (or a folder) each, with its scene, named tasks, judges, skills and driver.
+
+To import one is to register it: its config under `environment: {type: ...}`, and who drives it.
+"""
+
+from playlearn.envs.door import DoorConfig
+from playlearn.envs.lift import LiftConfig
+from playlearn.envs.nut_assembly import NutAssemblyConfig
+from playlearn.envs.ogbench import OgbenchCubeConfig, OgbenchPlayConfig, OgbenchSceneConfig
+from playlearn.envs.pick_place import PickPlaceConfig
+from playlearn.envs.playtable import PlayTableConfig
+from playlearn.envs.stack import StackConfig
+from playlearn.envs.wipe import WipeConfig
+
+__all__ = [
+    "DoorConfig",
+    "LiftConfig",
+    "NutAssemblyConfig",
+    "OgbenchCubeConfig",
+    "OgbenchPlayConfig",
+    "OgbenchSceneConfig",
+    "PickPlaceConfig",
+    "PlayTableConfig",
+    "StackConfig",
+    "WipeConfig",
+]

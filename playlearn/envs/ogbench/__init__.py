@@ -1,0 +1,5 @@
+"""OGBench's manipulation worlds, its play and its evaluation; they need the extra `ogbench`."""
+
+from playlearn.envs.ogbench.config import OgbenchCubeConfig, OgbenchPlayConfig, OgbenchSceneConfig
+
+__all__ = ["OgbenchCubeConfig", "OgbenchPlayConfig", "OgbenchSceneConfig"]

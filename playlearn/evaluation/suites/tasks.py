@@ -1,0 +1,67 @@
+"""Named tasks from random starts; the goal is what the expert really reached from that very start."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from playlearn.errors import PlaylearnError
+from playlearn.evaluation.goal_generation import DRAWS, GoalGeneration, achieved_now, names_of
+from playlearn.evaluation.suite import EvalEpisode, Judge, SuiteKind, derived_seed, goal_from
+from playlearn.rollout import Actor
+from playlearn.sim.environment import Environment
+
+
+@SuiteKind.register_subclass("tasks")
+@dataclass(frozen=True)
+class TasksConfig(SuiteKind):
+    """Episode e attempts task e modulo the number of tasks, judged on what that task is about.
+
+    tasks: their names (null: all that the environment has). rest, rest_seconds: a goal counts as
+    reached by the expert once nothing of `achieved` moved more than `rest` for so long.
+    """
+
+    tasks: tuple[str, ...] | None = None
+    rest: float = 0.003
+    rest_seconds: float = 0.5
+
+    def prepare(self, run: Path | None) -> Self:
+        return self
+
+    def judge(self, environment: Environment, task: str) -> Judge:
+        return environment.tasks[task].judge
+
+    def setup(
+        self, environment: Environment, expert: Actor, episode: int, seed: int, max_steps: int, cameras: Sequence[str]
+    ) -> EvalEpisode:
+        names = names_of(environment, self.tasks)
+        task = environment.tasks[names[episode % len(names)]]
+        demonstration = GoalGeneration(self.rest, self.rest_seconds)
+        why: str | None = "its start state did not suit"
+        for draw in range(DRAWS):
+            rng = np.random.default_rng((seed, episode, draw))
+            environment.reset(int(rng.integers(2**31)))
+            task.arrange(environment, rng)
+            start, start_achieved = np.array(environment.sim_state()), achieved_now(environment)
+            if environment.failure() is not None or not task.precondition(start_achieved):
+                continue
+            twin = environment.clone()
+            why = demonstration.drive(twin, expert, task, rng, max_steps)
+            if why:
+                continue
+            return EvalEpisode(
+                episode=episode,
+                task=task.name,
+                start=start,
+                start_achieved=start_achieved,
+                goal=goal_from(twin, cameras),
+                goal_sim_state=np.array(twin.sim_state()),
+                seed=derived_seed(seed, episode),
+                redraws=draw,
+            )
+        raise PlaylearnError(
+            f"the expert did not do task {task.name!r} in {DRAWS} draws of episode {episode} (the last: {why}), so "
+            f"there is no goal to show. Leave it out of the suite's `kind.tasks`, or raise max_steps ({max_steps})"
+        )

@@ -1,0 +1,1 @@
+"""What is compared, and the small experiments of a lecture."""

@@ -1,0 +1,234 @@
+"""`playlearn compare`: variants of one training config, on the same play, judged on the same episodes.
+
+Every (variant, seed) is trained and judged in a folder of its own and by one process of one thread, so that
+what each took compares; what is finished is not done again. In the end each variant's latency is measured,
+with nothing else of ours running.
+"""
+
+import contextlib
+import json
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+import yaml
+
+from playlearn.config import atomic_write, git_revision, load_config, save_config, to_dict, versions
+from playlearn.errors import NotLearnedError, PlaylearnError, UsageError
+from playlearn.evaluation import evaluate
+from playlearn.executor import Job, LocalExecutorConfig
+from playlearn.policies import Policy
+from playlearn.policies.inputs import Inputs
+from playlearn.report.compared import plot, table
+from playlearn.report.intervals import wilson
+from playlearn.report.progress import Progress
+from playlearn.training import TrainConfig, train
+
+Row = dict[str, Any]
+_CHUNKS = 100  # of which the latency's quantiles are taken, after a few that warm up
+
+
+@dataclass(frozen=True)
+class CompareConfig:
+    """What is compared.
+
+    base: YAML of the training config that all variants share. common: fields of it that are set otherwise here,
+        for all. variants: name -> the fields in which each differs (`policy.head.type: diffusion`).
+    suite, goal, episodes: what all are judged on. judged: its seed. n_action_steps: actions of a chunk carried out.
+    seeds: each trains every variant anew.
+    """
+
+    base: Path
+    suite: Path
+    variants: dict[str, dict[str, Any]]
+    common: dict[str, Any] = field(default_factory=dict)
+    goal: Literal["image", "state"] = "state"
+    episodes: int = 102
+    eval_seed: int = 1000
+    n_action_steps: int | None = None
+    seeds: tuple[int, ...] = (0,)
+
+    def training(self, variant: str, seed: int) -> TrainConfig:
+        """The config of one run; raises UsageError where a field is wrong."""
+        fields = {**self.common, **self.variants[variant], "seed": seed}
+        given = [f"--{name}={json.dumps(value)}" for name, value in fields.items()]
+        try:
+            return load_config(TrainConfig, self.base, given)
+        except UsageError as error:
+            raise UsageError(f"variant {variant!r}: {error}") from error
+
+
+def compare(config: CompareConfig, out: Path, workers: int | None = None) -> list[Row]:
+    """Train and judge what is not there yet; leave results.json, table.md, plot.png in `out`, the runs under runs/.
+
+    Returns one row a variant.
+
+    Raises:
+        UsageError: a variant's config is wrong, or `out` holds another comparison.
+        PlaylearnError: a run failed; the others are kept, and the same command goes on from there.
+    """
+    if not config.variants or not config.seeds:
+        raise UsageError("there is nothing to compare: give `variants` and `seeds`")
+    runs = {(name, seed): config.training(name, seed) for name in config.variants for seed in config.seeds}
+    _claim(config, out)
+    jobs = [
+        Job(key, _one, {"training": training, "folder": _folder(out, *key), "compare": config}, seed=key[1])
+        for key, training in sorted(runs.items(), key=lambda item: config.seeds.index(item[0][1]))
+    ]
+    rows: dict[tuple[str, int], Row] = {}
+    failed: list[str] = []
+    with (
+        LocalExecutorConfig(workers=workers).build() as executor,
+        Progress(out.name, len(jobs), "run", workers=executor.workers) as progress,
+    ):
+        for result in executor.run(jobs, keep_going=True):
+            name, seed = result.key
+            if result.error is None:
+                rows[result.key] = result.value
+                progress.say(f"{name}, seed {seed}: {result.value['success_rate']:.1%}")
+            else:
+                failed.append(f"{name}, seed {seed}: {result.error}")
+            progress.to(len(rows) + len(failed), seconds=result.seconds)
+    if failed:
+        raise PlaylearnError(f"{len(failed)} of {len(jobs)} runs failed, the rest is kept: " + "; ".join(failed))
+    timed = [Job(name, _latency, {"path": _folder(out, name, config.seeds[0]) / "policy"}) for name in config.variants]
+    with LocalExecutorConfig(workers=0 if workers == 0 else 1).build() as executor:
+        latencies = {result.key: result.value for result in executor.run(timed)}
+    gathered = [_gather(name, [rows[name, seed] for seed in config.seeds], latencies[name]) for name in config.variants]
+    results = {
+        "config": to_dict(config),
+        "rows": gathered,
+        "versions": versions(),
+        "git_revision": git_revision(),
+    }
+    atomic_write(out / "results.json", json.dumps(results, indent=1, default=str).encode())
+    atomic_write(out / "table.md", table(gathered).encode())
+    plot(gathered, out / "plot.png")
+    return gathered
+
+
+def _claim(config: CompareConfig, out: Path) -> None:
+    written = out / "compare.yaml"
+    if not written.is_file():
+        if out.exists() and any(out.iterdir()):
+            raise UsageError(f"{out} is there already and holds no comparison: choose another --out")
+        out.mkdir(parents=True, exist_ok=True)
+    else:
+        before, now = yaml.safe_load(written.read_text()), to_dict(config)
+        # a variant or a seed may be added or left out, what is there already stays as it is
+        apart = [name for name in now if name not in ("variants", "seeds") and before.get(name) != now[name]]
+        shared = before["variants"].keys() & now["variants"].keys()
+        apart += [f"variants.{name}" for name in shared if before["variants"][name] != now["variants"][name]]
+        if apart:
+            raise UsageError(f"{out} compared with another {', '.join(sorted(apart))}: choose another --out")
+    save_config(config, written)
+
+
+def _folder(out: Path, name: str, seed: int) -> Path:
+    return out / "runs" / f"{name.replace(' ', '_').replace('/', '_')}-{seed}"
+
+
+def _one(training: TrainConfig, folder: Path, compare: CompareConfig) -> Row:
+    """Train and judge one variant under one seed, or read what came of it before."""
+    done = folder / "row.json"
+    if done.is_file():
+        row: Row = json.loads(done.read_text())
+        return row
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder.parent / f"{folder.name}.log").open("a") as log, contextlib.redirect_stderr(log):
+        began, resumed = time.process_time(), (folder / "config.yaml").is_file()
+        try:
+            train(training, folder, resume=resumed)
+        except NotLearnedError as error:  # a comparison may hold one that learns nothing: its row says so
+            print(error, file=log, flush=True)
+        core_seconds = None if resumed else round(time.process_time() - began, 1)  # of an interrupted one: not known
+        results = evaluate(
+            compare.suite,
+            run=folder,
+            goal=compare.goal,
+            out=folder / "eval",
+            episodes=compare.episodes,
+            seed=compare.eval_seed,
+            workers=0,
+            references=False,
+            overrides=[] if compare.n_action_steps is None else [f"--n_action_steps={compare.n_action_steps}"],
+        )
+    metrics = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    val = [line["val/action_error"] for line in metrics if "val/action_error" in line]
+    kept = ("success_rate", "episodes", "tasks", "crashed", "renderer")
+    row = {name: results[name] for name in kept} | {
+        "parameters": json.loads((folder / "run.json").read_text())["parameters"],
+        "updates": metrics[-1]["step"],
+        "train_seconds": metrics[-1]["seconds"],
+        "train_core_seconds": core_seconds,
+        "eval_seconds": results["seconds"],
+        "val_action_error": val[-1] if val else None,
+    }
+    atomic_write(done, json.dumps(row, indent=1).encode())
+    return row
+
+
+def _gather(name: str, rows: Sequence[Row], latency: Mapping[str, float]) -> Row:
+    """One variant's seeds together: the interval is that of all episodes as if they were one run's."""
+    episodes = sum(row["episodes"] for row in rows)
+    reached = sum(round(row["success_rate"] * row["episodes"]) for row in rows)
+    tasks = {
+        task: float(np.mean([row["tasks"][task]["success_rate"] for row in rows if task in row["tasks"]]))
+        for task in sorted({task for row in rows for task in row["tasks"]})
+    }
+    return {
+        "variant": name,
+        "success_rate": reached / episodes,
+        "ci95": list(wilson(reached, episodes)),
+        "episodes": episodes,
+        "by_seed": [row["success_rate"] for row in rows],
+        "crashed": sum(row["crashed"] for row in rows),
+        "parameters": rows[0]["parameters"],
+        "updates": rows[0]["updates"],
+        "train_core_seconds": _mean(row["train_core_seconds"] for row in rows),
+        "val_action_error": _mean(row["val_action_error"] for row in rows),
+        "latency_ms": dict(latency),
+        "tasks": tasks,
+    }
+
+
+def _mean(values: Iterable[float | None]) -> float | None:
+    """Of those that are known."""
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
+
+
+def _latency(path: Path) -> dict[str, float]:
+    """Milliseconds for one chunk, observation to actions, on one core: median and 95th percentile."""
+    policy = Policy.load(path)
+    inputs, generator = blank(policy), torch.Generator().manual_seed(0)
+    times = []
+    for _ in range(_CHUNKS + 10):
+        began = time.perf_counter()
+        policy.act(inputs, generator)
+        times.append(1000 * (time.perf_counter() - began))
+    p50, p95 = np.quantile(times[10:], (0.5, 0.95))
+    return {"p50": float(p50), "p95": float(p95)}
+
+
+def blank(policy: Policy) -> Inputs:
+    """One example of what a policy reads: all numbers at the data's mean, all images black."""
+    spec, encoder, steps = policy.spec, policy.config.encoder, policy.config.history
+    state, achieved = policy.normalizer.get_buffer("state_mean"), policy.normalizer.get_buffer("achieved_mean")
+
+    def black(camera: str, *lead: int) -> torch.Tensor:
+        return torch.zeros(*lead, *spec.cameras[camera], 3, dtype=torch.uint8)
+
+    return Inputs(
+        state=state.expand(1, steps, -1),
+        achieved=achieved.expand(1, steps, -1),
+        history_mask=torch.ones(1, steps, dtype=torch.bool),
+        goal_achieved=achieved.expand(1, -1),
+        goal_proprio=state.expand(1, -1),
+        images={camera: black(camera, 1, steps) for camera in encoder.observation_cameras},
+        goal_images={camera: black(camera, 1) for camera in encoder.goal_cameras},
+    )

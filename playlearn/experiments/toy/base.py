@@ -1,0 +1,152 @@
+"""What an experiment is: a config that runs, gives numbers, and draws them."""
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import draccus
+import torch
+from torch import Tensor, nn
+
+from playlearn.config import atomic_write, git_revision, load_config, save_config, to_dict, versions
+from playlearn.errors import UsageError
+from playlearn.policies.heads import Head, HeadConfig
+from playlearn.threads import limit
+
+WIDTH = 64  # of the features that a head is given
+
+Rows = list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Experiment(draccus.ChoiceRegistry):
+    """The base of every experiment's config; `type:` in a YAML picks the kind."""
+
+    def measure(self, say: Callable[[str], None]) -> Rows:
+        """One row for each figure, JSON throughout; `say` tells how far it is."""
+        raise NotImplementedError
+
+    def plot(self, rows: Rows, path: Path) -> None:
+        """Write a PNG of what came out."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class ToyExperiment:
+    """experiment: what is tried."""
+
+    experiment: Experiment
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """How a head is trained on examples made up on the way: AdamW, cosine decay."""
+
+    updates: int = 2000
+    batch: int = 256
+    lr: float = 2e-3
+
+
+@dataclass(frozen=True)
+class HeadsConfig:
+    """heads: name -> config of each that is compared. seed: of weights, examples and samples."""
+
+    heads: dict[str, HeadConfig] = field(default_factory=dict)
+    training: TrainingConfig = field(default_factory=TrainingConfig)
+    samples: int = 1000
+    seed: int = 0
+
+
+def load_experiment(path: Path, overrides: Sequence[str]) -> Experiment:
+    """The experiment of a YAML file; overrides name its fields. Raises UsageError where the file describes none."""
+    words = [f"--experiment.{word[2:]}" if word.startswith("--") else word for word in overrides]
+    return load_config(ToyExperiment, path, words).experiment
+
+
+def run(experiment: Experiment, out: Path, say: Callable[[str], None]) -> Rows:
+    """Measure, and leave in `out`: results.json, plot.png, config.yaml.
+
+    Raises:
+        UsageError: `out` holds other results already.
+    """
+    if (out / "results.json").exists():
+        raise UsageError(f"{out} holds results already: remove them, or choose another --out")
+    limit()
+    began = time.perf_counter()
+    rows = experiment.measure(say)
+    out.mkdir(parents=True, exist_ok=True)
+    experiment.plot(rows, out / "plot.png")
+    save_config(ToyExperiment(experiment), out / "config.yaml")
+    results = {
+        "experiment": type(experiment).get_choice_name(type(experiment)),
+        "config": to_dict(experiment),
+        "rows": rows,
+        "seconds": round(time.perf_counter() - began, 1),
+        "versions": versions(),
+        "git_revision": git_revision(),
+        "threads": torch.get_num_threads(),
+    }
+    atomic_write(out / "results.json", json.dumps(results, indent=1).encode())
+    return rows
+
+
+class Answering(nn.Module):
+    """A head over features of its own: (B, C) contexts -> chunks."""
+
+    mean: Tensor
+    std: Tensor
+
+    def __init__(self, head: Head, contexts: int) -> None:
+        super().__init__()
+        self.head = head
+        self.features = nn.Sequential(nn.Linear(contexts, WIDTH), nn.GELU(), nn.Linear(WIDTH, WIDTH))
+        self.register_buffer("mean", torch.zeros(()))
+        self.register_buffer("std", torch.ones(()))
+
+    @torch.no_grad()
+    def sample(self, contexts: Tensor, generator: torch.Generator) -> Tensor:
+        """(B, H, A), in the units of the examples."""
+        return self.head.sample(self.features(contexts), generator) * self.std + self.mean
+
+    @torch.no_grad()
+    def mode(self, contexts: Tensor) -> Tensor:
+        """(B, H, A), in the units of the examples."""
+        return self.head.mode(self.features(contexts)) * self.std + self.mean
+
+
+def taught(
+    config: HeadConfig,
+    training: TrainingConfig,
+    examples: Callable[[int, torch.Generator], tuple[Tensor, Tensor]],
+    seed: int,
+) -> tuple[Answering, Mapping[str, float]]:
+    """A head trained on `examples(n, generator) -> contexts (n, C), chunks (n, H, A)`, and what that took."""
+    rng = torch.Generator().manual_seed(seed)
+    contexts, chunks = examples(4096, rng)
+    with torch.random.fork_rng(devices=[]):
+        torch.random.manual_seed(seed)
+        model = Answering(config.build(WIDTH, *chunks.shape[1:]), contexts.shape[1])
+    model.mean.fill_(chunks.mean())
+    model.std.fill_(chunks.std())
+    model.head.fit_action_statistics((chunks - model.mean) / model.std)
+    optimizer = torch.optim.AdamW(model.parameters(), lr=training.lr)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, training.updates)
+    began = time.process_time()  # which other work on the machine does not stretch
+    for update in range(training.updates):
+        model.head.updates = update
+        contexts, chunks = examples(training.batch, rng)
+        normal = (chunks - model.mean) / model.std
+        loss, _ = model.head.loss(model.features(contexts), normal, torch.ones(normal.shape[:2], dtype=torch.bool), rng)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        schedule.step()
+    seconds = time.process_time() - began
+    model.head.updates = Head.updates
+    return model.eval(), {
+        "train_core_seconds": round(seconds, 1),
+        "parameters": sum(p.numel() for p in model.parameters()),
+    }

@@ -1,0 +1,100 @@
+"""The fork: two equally good ways round an obstacle, and what every head makes of it.
+
+The demonstrator goes from (0, 0) to (1, 0), left or right of a disc in the middle, which stands a little
+higher or lower each time and is told in the context. A chunk is the whole way: H displacements.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from playlearn.episode import Array
+from playlearn.experiments.toy.base import Experiment, HeadsConfig, Rows, taught
+
+STEPS = 16
+RADIUS, SPREAD_OF_DISC = 0.2, 0.1
+ROOM = (0.3, 0.4)  # how far from the disc's center the demonstrator passes
+SHOWN = 40  # ways drawn of each head
+
+
+@Experiment.register_subclass("fork")
+@dataclass(frozen=True)
+class ForkConfig(HeadsConfig, Experiment):
+    """left: share of demonstrations that pass on the left."""
+
+    left: float = 0.5
+
+    def measure(self, say: Callable[[str], None]) -> Rows:
+        rows: Rows = []
+        disc = torch.linspace(-SPREAD_OF_DISC, SPREAD_OF_DISC, self.samples).unsqueeze(1)
+        for name, head in self.heads.items():
+            say(name)
+            model, cost = taught(head, self.training, self._examples, self.seed)
+            ways = _ways(model.sample(disc, torch.Generator().manual_seed(self.seed)).numpy())
+            valid, side = _judge(ways, disc.numpy())
+            left = float((side[valid] > 0).mean()) if valid.any() else 0.0
+            mode, _ = _judge(_ways(model.mode(disc).numpy()), disc.numpy())
+            rows.append(
+                {
+                    "head": name,
+                    "valid": float(valid.mean()),
+                    "left_of_valid": left,
+                    "coverage": float(min(left, 1 - left) / min(self.left, 1 - self.left)) if valid.any() else 0.0,
+                    "mode_valid": float(mode.mean()),
+                    **cost,
+                    "ways": ways[:: max(1, len(ways) // SHOWN)].astype(float).round(3).tolist(),
+                    "discs": disc[:: max(1, len(ways) // SHOWN), 0].double().numpy().round(4).tolist(),
+                }
+            )
+        return rows
+
+    def plot(self, rows: Rows, path: Path) -> None:
+        from matplotlib.figure import Figure
+
+        columns = 5
+        lines = -(-len(rows) // columns)
+        figure = Figure(figsize=(2.5 * columns, 2.3 * lines), layout="constrained")
+        for place, row in enumerate(rows):
+            axes = figure.add_subplot(lines, columns, place + 1)
+            ways, discs = np.array(row["ways"]), np.array(row["discs"])
+            valid, _ = _judge(ways, discs[:, None])
+            for way, fine in zip(ways, valid, strict=True):
+                axes.plot(*way.T, color="#2a6f97" if fine else "#d1495b", lw=0.7, alpha=0.6)
+            circle = np.linspace(0, 2 * np.pi, 60)
+            axes.fill(0.5 + RADIUS * np.cos(circle), RADIUS * np.sin(circle), color="0.75", zorder=3)
+            axes.set_title(f"{row['head']}\nvalid {row['valid']:.0%}, both ways {row['coverage']:.0%}", fontsize=8)
+            axes.set(xlim=(-0.1, 1.1), ylim=(-0.65, 0.65), xticks=[], yticks=[], aspect="equal")
+        figure.savefig(path, dpi=110)
+
+    def _examples(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        def uniform(low: float, high: float) -> Tensor:
+            return low + (high - low) * torch.rand(count, 1, generator=generator)
+
+        disc = uniform(-SPREAD_OF_DISC, SPREAD_OF_DISC)
+        side = torch.where(torch.rand(count, 1, generator=generator) < self.left, 1.0, -1.0)
+        along = torch.linspace(0, 1, STEPS + 1)
+        away = (disc + side * uniform(*ROOM)) * torch.sin(torch.pi * along)
+        way = torch.stack([along.expand_as(away), away], dim=-1)  # (n, H + 1, 2)
+        chunk = way.diff(dim=1) + 0.003 * torch.randn(count, STEPS, 2, generator=generator)
+        return disc, chunk
+
+
+def _ways(chunks: Array) -> Array:
+    """(n, H, 2) displacements -> (n, H + 1, 2) places."""
+    ways: Array = np.concatenate([np.zeros_like(chunks[:, :1]), chunks.cumsum(1)], axis=1)
+    return ways
+
+
+def _judge(ways: Array, disc: Array) -> tuple[Array, Array]:
+    """(n,) whether it arrives without touching the disc, (n,) on which side it passes: 1 is left."""
+    fine = np.linspace(0, 1, 5)[:, None]
+    between = ways[:, :-1, None] * (1 - fine) + ways[:, 1:, None] * fine  # (n, H, 5, 2)
+    center = np.stack([np.full(len(ways), 0.5), disc[:, 0]], axis=1)[:, None, None]
+    clear = np.linalg.norm(between - center, axis=-1).min(axis=(1, 2)) > RADIUS
+    arrived = np.linalg.norm(ways[:, -1] - (1.0, 0.0), axis=-1) < 0.1
+    middle = ways[np.arange(len(ways)), np.abs(ways[..., 0] - 0.5).argmin(axis=1), 1]
+    return clear & arrived, np.sign(middle - disc[:, 0])

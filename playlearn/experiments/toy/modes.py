@@ -1,0 +1,101 @@
+"""Many answers in many dimensions: where each head begins to lose some, or to invent others.
+
+One of `modes` directions in A dimensions is taken, out and back; a chunk is that excursion.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from playlearn.experiments.toy.base import Experiment, HeadsConfig, Rows, taught
+
+STEPS, SPREAD = 8, 0.05
+NEAR = 3.0  # spreads, root mean square over the chunk, within which a sample belongs to a mode
+
+
+@Experiment.register_subclass("modes")
+@dataclass(frozen=True)
+class ModesConfig(HeadsConfig, Experiment):
+    """dimensions: of the action. modes: how many answers."""
+
+    dimensions: tuple[int, ...] = (2, 7, 14)
+    modes: tuple[int, ...] = (2, 4, 8)
+
+    def measure(self, say: Callable[[str], None]) -> Rows:
+        rows: Rows = []
+        for name, head in self.heads.items():
+            for dimensions in self.dimensions:
+                for modes in self.modes:
+                    say(f"{name}: {modes} modes in {dimensions} dimensions")
+                    centers = _centers(dimensions, modes)
+                    model, cost = taught(head, self.training, _examples(centers), self.seed)
+                    rng = torch.Generator().manual_seed(self.seed)
+                    valid, coverage = _judge(model.sample(torch.ones(self.samples, 1), rng), centers)
+                    rows.append(
+                        {
+                            "head": name,
+                            "dimensions": dimensions,
+                            "modes": modes,
+                            "valid": valid,
+                            "coverage": coverage,
+                            **cost,
+                        }
+                    )
+        return rows
+
+    def plot(self, rows: Rows, path: Path) -> None:
+        from matplotlib.figure import Figure
+
+        names = list(dict.fromkeys(row["head"] for row in rows))
+        cells = [(d, m) for d in self.dimensions for m in self.modes]
+        figure = Figure(figsize=(9, 0.42 * len(names) + 1.6), layout="constrained")
+        for place, figure_of in enumerate(("valid", "coverage")):
+            values = {(row["head"], row["dimensions"], row["modes"]): row[figure_of] for row in rows}
+            table = np.array([[values[name, d, m] for d, m in cells] for name in names])
+            axes = figure.add_subplot(1, 2, place + 1)
+            axes.imshow(table, vmin=0, vmax=1, cmap="Blues", aspect="auto")
+            for (line, column), value in np.ndenumerate(table):
+                color = "white" if value > 0.6 else "black"
+                axes.text(column, line, f"{value:.2f}", ha="center", va="center", fontsize=7, color=color)
+            axes.set_xticks(range(len(cells)), [f"{m} modes\n{d}-D" for d, m in cells], fontsize=6)
+            axes.set_yticks(range(len(names)), names if place == 0 else [""] * len(names), fontsize=8)
+            title = "share of samples near a mode" if figure_of == "valid" else "evenness over the modes"
+            axes.set_title(title, fontsize=9)
+        figure.savefig(path, dpi=130)
+
+
+def _centers(dimensions: int, modes: int) -> Tensor:
+    """(K, H, A) excursions: evenly spaced directions in a plane, axes and their opposites where there is room."""
+    if dimensions == 2:
+        angle = torch.arange(modes) * (2 * torch.pi / modes)
+        directions = torch.stack([angle.cos(), angle.sin()], dim=1)
+    else:
+        axes = torch.eye(dimensions)
+        directions = torch.stack([axes, -axes], dim=1).flatten(0, 1)[:modes]
+    bump = torch.sin(torch.pi * (torch.arange(STEPS) + 0.5) / STEPS)
+    return directions[:, None] * bump[None, :, None]
+
+
+def _examples(centers: Tensor) -> Callable[[int, torch.Generator], tuple[Tensor, Tensor]]:
+    def draw(count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        which = torch.randint(len(centers), (count,), generator=generator)
+        noise = SPREAD * torch.randn(count, *centers.shape[1:], generator=generator)
+        return torch.ones(count, 1), centers[which] + noise
+
+    return draw
+
+
+def _judge(samples: Tensor, centers: Tensor) -> tuple[float, float]:
+    """Share of samples near a mode; how evenly those are spread: exp(entropy) / K, 1 where all modes are met alike."""
+    off = (samples[:, None] - centers).square().mean((-2, -1)).sqrt()  # (n, K)
+    nearest, which = off.min(dim=1)
+    near = nearest < NEAR * SPREAD
+    if not near.any():
+        return 0.0, 0.0
+    share = torch.bincount(which[near], minlength=len(centers)) / near.sum()
+    entropy = -(share * share.clamp(min=1e-12).log()).sum()
+    return float(near.float().mean()), float(entropy.exp() / len(centers))

@@ -1,0 +1,64 @@
+"""What ready-made vision networks need before they see for a policy: their scale, no batch norm, frozen or not."""
+
+from typing import Self
+
+import torch
+from torch import Tensor, nn
+
+IMAGENET = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+
+
+class Scale(nn.Module):
+    """[-1, 1] to the mean and spread, of colors in 0 to 1, that a network's weights were trained with."""
+
+    def __init__(self, channels: int, mean: tuple[float, ...], std: tuple[float, ...]) -> None:
+        super().__init__()
+        repeat = channels // 3
+        middle, spread = 2 * torch.tensor(mean) - 1, 2 * torch.tensor(std)
+        self.register_buffer("mean", middle.repeat(repeat)[:, None, None], persistent=False)
+        self.register_buffer("std", spread.repeat(repeat)[:, None, None], persistent=False)
+
+    def forward(self, images: Tensor) -> Tensor:
+        return (images - self.get_buffer("mean")) / self.get_buffer("std")
+
+
+class Frozen(nn.Module):
+    """A network that is used as it is: no gradient, no dropout, no statistics of its own."""
+
+    def __init__(self, body: nn.Module) -> None:
+        super().__init__()
+        self.body = body.requires_grad_(False).eval()
+
+    @torch.no_grad()
+    def forward(self, images: Tensor) -> Tensor:
+        out: Tensor = self.body(images)
+        return out
+
+    def train(self, mode: bool = True) -> Self:
+        super().train(mode)
+        self.body.eval()
+        return self
+
+
+def replace_batch_norm(module: nn.Module, *, pretrained: bool) -> None:
+    """From scratch by group norm, pretrained by its own statistics: an example never depends on its neighbors."""
+    from torchvision.ops import FrozenBatchNorm2d
+
+    for name, child in module.named_children():
+        if not isinstance(child, nn.BatchNorm2d):
+            replace_batch_norm(child, pretrained=pretrained)
+            continue
+        features = child.num_features
+        if pretrained:
+            norm: nn.Module = FrozenBatchNorm2d(features, eps=child.eps)
+            norm.load_state_dict(child.state_dict(), strict=False)
+        else:
+            groups = next(n for n in (16, 8, 4, 2, 1) if features % n == 0)
+            norm = nn.GroupNorm(groups, features)
+        setattr(module, name, norm)
+
+
+def widened(weight: Tensor, channels: int) -> Tensor:
+    """(O, C, k, k) weights of a first layer, shared out among the images that (O, channels, k, k) ones read at once."""
+    repeat = channels // weight.shape[1]
+    return weight.repeat(1, repeat, 1, 1) / repeat

@@ -1,0 +1,20 @@
+"""A goal that is a state, as one vector: for encoders that look at the world through cameras."""
+
+import torch
+from torch import Tensor, nn
+
+from playlearn.policies.encoders.objects import mlp
+from playlearn.policies.inputs import PolicySpec
+
+
+class GoalStateEncoder(nn.Module):
+    """(B, G) normalized achieved of a goal -> (B, D), of the parts alone that goals speak of."""
+
+    def __init__(self, spec: PolicySpec, goal_names: tuple[str, ...], hidden: int, width: int) -> None:
+        super().__init__()
+        self.register_buffer("spoken", torch.tensor(spec.select(goal_names)), persistent=False)
+        self.net = mlp(len(self.get_buffer("spoken")), hidden, width)
+
+    def forward(self, goal: Tensor) -> Tensor:
+        out: Tensor = self.net(goal[:, self.get_buffer("spoken")])
+        return out

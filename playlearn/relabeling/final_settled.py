@@ -1,0 +1,37 @@
+"""How the episode ended: any moment of the configuration that lasts until its end."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from playlearn.relabeling.base import GoalSampler, GoalSamplerConfig, later, pick
+from playlearn.relabeling.index import Indices, RelabelIndex
+
+
+@GoalSamplerConfig.register_subclass("final_settled")
+@dataclass(frozen=True)
+class FinalSettledConfig(GoalSamplerConfig):
+    """The goal is drawn from the whole time for which the last settled configuration lasts, where that is until the
+    end, so that what the arm does in a goal image does not matter; else it is the last observation.
+
+    For episodes that were brought to an end on purpose, as those of DAgger are.
+    """
+
+    def build(self) -> GoalSampler:
+        return FinalSettled()
+
+
+class FinalSettled:
+    """See `FinalSettledConfig`."""
+
+    def valid(self, table: RelabelIndex, episodes: Indices, t: Indices) -> NDArray[np.bool_]:
+        return later(table, episodes, t)
+
+    def draw(self, table: RelabelIndex, episodes: Indices, t: Indices, uniforms: NDArray[np.float64]) -> Indices:
+        end, last = table.lengths[episodes], table.offsets[episodes + 1] - 1
+        first = end
+        if len(table.moments):
+            lasts = (last >= table.offsets[episodes]) & (table.ends[last] == end)
+            first = np.where(lasts, np.maximum(table.moments[last], t + 1), end)
+        return pick(uniforms[:, 0], first, end)

@@ -1,0 +1,239 @@
+"""What relabeling knows of a store: lengths, and the settled moments read from `achieved` (or the robot) alone.
+
+One episode of T actions, in which the world was changed twice:
+
+    observation   0    1    2    3    4    5    6    7    8    9   10   11=T
+    action          0    1    2    3    4    5    6    7    8    9   10
+    the world     AAAAAAAA ~~~~~~~~~~ BBBBBBBBBBBBBB ~~~~~~~~~ CCCCCCCCCC
+    settled                           m=5                       m=9
+    hold ends           2                       7                     11
+    following(t)    5    5    5    5    5    9    9    9    9    -    -      t = 0 ... T-1
+
+A settled moment m is the first at which the world differs from the configuration before it by more
+than `change` in some dimension, and has moved less than `rest` in every dimension for `rest_seconds`.
+Its interval [m, end] lasts until the next change begins. A goal index g of a moment t lies in
+(t, T]: at least one action leads to it, and it never leaves its episode.
+
+Flat numbering: step t of episode e is `starts[e] + t` (0 <= t < T_e), observation o of episode e is
+row `rows[e] + o` (0 <= o <= T_e), and the settled moments of all episodes stand one after another.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from playlearn.episode import STORED, Array
+from playlearn.relabeling.calibrate import ranges
+from playlearn.relabeling.robot import NAMES, RobotReader
+from playlearn.relabeling.settling import SettlingConfig, matching, thresholds
+
+Indices = NDArray[np.int64]
+STATE, ACHIEVED = STORED["state"], STORED["achieved"]
+
+
+NONE = np.zeros(0)
+Found = tuple[Sequence[int], Sequence[int], Sequence[Sequence[bool]]]  # moments (m), ends (m), changed (m, G)
+
+
+class Spec(Protocol):
+    """What a store's episodes have in common, as far as the table asks."""
+
+    @property
+    def achieved_names(self) -> tuple[str, ...]: ...
+    @property
+    def state_names(self) -> tuple[str, ...]: ...
+    @property
+    def fps(self) -> float: ...
+
+
+class Recordings(Protocol):
+    """What the table reads of a store."""
+
+    @property
+    def spec(self) -> Spec: ...
+    def __len__(self) -> int: ...
+    def array(self, i: int, key: str) -> Array: ...
+
+
+@dataclass(frozen=True, eq=False)
+class RelabelIndex:
+    """N episodes, M settled moments in all, G achieved dimensions.
+
+    lengths (N,): T of each episode. starts (N+1,), rows (N+1,): flat numbering, see the drawing.
+    offsets (N+1,): episode e has the settled moments offsets[e] ... offsets[e+1]-1.
+    moments (M,), ends (M,): the observation at which each is settled, and the last it holds to.
+    changed (M, G) bool: the dimensions that differ from the configuration before it; `names` says which they are.
+    change (G,): how far each dimension moves before it has changed; none where the moments are the robot's.
+    next_moment (sum T,): the first settled moment (flat) later than each step; offsets[e+1] where none is.
+    """
+
+    fps: float
+    names: tuple[str, ...]
+    lengths: Indices
+    starts: Indices
+    rows: Indices
+    offsets: Indices
+    moments: Indices
+    ends: Indices
+    changed: NDArray[np.bool_]
+    change: NDArray[np.float64]
+    next_moment: Indices
+
+    @classmethod
+    def build(cls, achieved: Sequence[Array], names: Sequence[str], fps: float, settling: SettlingConfig) -> Self:
+        """Read the settled moments of each episode's achieved (T+1, G); thresholds of null are measured on it.
+
+        Raises:
+            UsageError: a threshold is missing or not positive.
+        """
+        settling = settling.measured(achieved, names, fps)
+        change, rest = thresholds(settling.change, names, "change"), thresholds(settling.rest, names, "rest")
+        window = settling.window(fps)
+        found = [_settled(np.asarray(rows), change, rest, window) for rows in achieved]
+        return cls._of([len(rows) - 1 for rows in achieved], found, names, fps, change)
+
+    @classmethod
+    def of_store(
+        cls,
+        store: Recordings,
+        settling: SettlingConfig,
+        goal_names: Sequence[str] = ("*",),
+        episodes: Sequence[int] | None = None,
+        learned: Sequence[int] | None = None,
+    ) -> Self:
+        """The table of a store's episodes, numbered by their place in `episodes` (None: all of them).
+
+        goal_names: patterns of the achieved dimensions in which to look for change and rest; of no use where the
+        moments are the robot's. learned: the episodes on which to measure what is left to the data (none: all).
+
+        Raises:
+            UsageError: a threshold is missing or not positive, a pattern matches nothing.
+        """
+        spec, every = store.spec, range(len(store))
+        episodes, learned = every if episodes is None else episodes, learned or every
+
+        def rows(chosen: Sequence[int], key: str) -> Iterator[Array]:
+            return (store.array(int(i), key) for i in chosen)
+
+        if settling.source == "robot" or not spec.achieved_names:
+            reader = RobotReader.measured(list(rows(learned, STATE)), spec.state_names, spec.fps, settling.robot)
+            states = list(rows(episodes, STATE))
+            return cls._of(
+                [len(state) - 1 for state in states], [reader(state) for state in states], NAMES, spec.fps, NONE
+            )
+        spoken = matching(spec.achieved_names, goal_names)
+        names = [spec.achieved_names[k] for k in spoken]
+        settling = settling.measured((one[:, spoken] for one in rows(learned, ACHIEVED)), names, spec.fps)
+        return cls.build([one[:, spoken] for one in rows(episodes, ACHIEVED)], names, spec.fps, settling)
+
+    @classmethod
+    def _of(
+        cls,
+        steps: Sequence[int],
+        found: Sequence[Found],
+        names: Sequence[str],
+        fps: float,
+        change: NDArray[np.float64],
+    ) -> Self:
+        """steps: T of each episode."""
+        lengths = np.array(steps, np.int64)
+        offsets = _running(np.array([len(moments) for moments, _, _ in found], np.int64))
+        after = [
+            offset + np.searchsorted(moments, np.arange(length), side="right")
+            for (moments, _, _), offset, length in zip(found, offsets[:-1], lengths, strict=True)
+        ]
+        return cls(
+            fps=fps,
+            names=tuple(names),
+            lengths=lengths,
+            starts=_running(lengths),
+            rows=_running(lengths + 1),
+            offsets=offsets,
+            moments=np.array([moment for moments, _, _ in found for moment in moments], np.int64),
+            ends=np.array([end for _, ends, _ in found for end in ends], np.int64),
+            changed=np.array([row for _, _, rows in found for row in rows], np.bool_).reshape(-1, len(names)),
+            change=change,
+            next_moment=np.concatenate([np.zeros(0, np.int64), *after]).astype(np.int64),
+        )
+
+    def following(self, episodes: Indices, t: Indices) -> Indices:
+        """(n,) the first settled moment (flat) later than t; `offsets[episodes + 1]` where none is."""
+        following: Indices = self.next_moment[self.starts[episodes] + t]
+        return following
+
+    def valid(self, episode: int) -> NDArray[np.bool_]:
+        """(T,) whether some settled moment of this episode is later than t."""
+        valid: NDArray[np.bool_] = self._next(episode) < self.offsets[episode + 1]
+        return valid
+
+    def settled(self, episode: int) -> tuple[Indices, Indices]:
+        """(m,), (m,): the settled moments of one episode, and the last observation each holds to."""
+        own = slice(self.offsets[episode], self.offsets[episode + 1])
+        return self.moments[own], self.ends[own]
+
+    def changes(self, episode: int) -> NDArray[np.bool_]:
+        """(T, G) what differs between the settled configurations before and after t; all False past the last."""
+        padded = np.concatenate([self.changed, np.zeros((1, len(self.names)), np.bool_)])
+        changes: NDArray[np.bool_] = padded[np.where(self.valid(episode), self._next(episode), -1)]
+        return changes
+
+    def groups(self) -> tuple[str, ...]:
+        """What the achieved dimensions belong to: the names before the dot, in order."""
+        return tuple(dict.fromkeys(name.split(".")[0] for name in self.names))
+
+    def changed_groups(self) -> NDArray[np.bool_]:
+        """(M, groups) which group changed at each settled moment."""
+        return self._by_group(self.changed)
+
+    def groups_apart(self, one: Array, other: Array) -> NDArray[np.bool_]:
+        """(n, groups) in which groups two sets of achieved goals (n, G) differ by more than `change`."""
+        return self._by_group(np.abs(one - other) > self.change)
+
+    def change_counts(self) -> dict[str, int]:
+        """How often each group changed: what there is to learn from."""
+        return dict(zip(self.groups(), self.changed_groups().sum(axis=0).tolist(), strict=True))
+
+    def _by_group(self, flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(n, G) -> (n, groups): whether any dimension of a group has its flag set."""
+        owners = np.array([name.split(".")[0] for name in self.names])
+        columns = [flags[:, owners == group].any(axis=1) for group in self.groups()]
+        return np.stack(columns, axis=1) if columns else np.zeros((len(flags), 0), np.bool_)
+
+    def _next(self, episode: int) -> Indices:
+        return self.next_moment[self.starts[episode] : self.starts[episode + 1]]
+
+
+def _settled(achieved: Array, change: Array, rest: Array, window: int) -> Found:
+    """The settled moments, their ends and what changed of one episode's (T+1, G)."""
+    resting = _resting(achieved, rest, window)
+    moments: list[int] = []
+    ends: list[int] = []
+    changed: list[list[bool]] = []
+    before, at = achieved[0], 0
+    while True:
+        differs = np.abs(achieved[at:] - before) > change  # (rest of the episode, G)
+        ready = resting[at:] & differs.any(axis=1)
+        if not ready.any():
+            break
+        at += int(ready.argmax())
+        leaves = (np.abs(achieved[at:] - achieved[at]) > rest).any(axis=1)
+        moments.append(at)
+        ends.append(at + int(leaves.argmax()) - 1 if leaves.any() else len(achieved) - 1)
+        changed.append((np.abs(achieved[at] - before) > change).tolist())
+        before = achieved[at]
+    return moments, ends, changed
+
+
+def _resting(achieved: Array, rest: Array, window: int) -> NDArray[np.bool_]:
+    """(T+1,) whether every dimension stayed within `rest` over the last `window` steps."""
+    resting = np.zeros(len(achieved), np.bool_)
+    if len(achieved) > window:
+        resting[window:] = (ranges(achieved, window) < rest).all(axis=1)
+    return resting
+
+
+def _running(counts: Indices) -> Indices:
+    return np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)]).astype(np.int64)

@@ -1,0 +1,1 @@
+"""From a simulator state to an image, quickly: simplified meshes, culling, OpenGL without a display."""

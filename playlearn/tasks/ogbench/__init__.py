@@ -1,5 +1,0 @@
-"""OGBench's manipulation worlds, its play and its evaluation; they need the extra `ogbench`."""
-
-from playlearn.tasks.ogbench.config import OgbenchCubeConfig, OgbenchPlayConfig, OgbenchSceneConfig
-
-__all__ = ["OgbenchCubeConfig", "OgbenchPlayConfig", "OgbenchSceneConfig"]

@@ -1,0 +1,165 @@
+"""What a training run is made from, and what a folder must be for it to go there."""
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from playlearn.config import load_config, to_dict
+from playlearn.corrections import CorrectionsConfig
+from playlearn.data import DataConfig
+from playlearn.data.mixture import DatasetSource
+from playlearn.errors import UsageError
+from playlearn.perceived import PerceivedConfig
+from playlearn.policies import PolicyConfig
+from playlearn.scenes import ScenesConfig
+from playlearn.store import StoreConfig
+
+# What may differ between a run and its resumption: how long it goes on, and what it says meanwhile.
+ADJUSTABLE = ("steps", "max_minutes", "val_every", "checkpoint_every", "log_every", "tracker")
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """A training run.
+
+    store: the play, a folder or a kind with its settings (`{type: lerobot, repo_id: user/name}`). data: how examples
+    are cut from it; its history, chunk, cameras and goal_names are the policy's.
+    corrections: moments with the hand put aside and the way back as label, made before the first update and shown
+    among the recorded ones (see CorrectionsConfig); null for none.
+    scenes: images that the simulator draws of the store's recorded states and of others, with the true state, for an
+    image encoder to learn from (see ScenesConfig); null for none.
+    perceived: play as an image encoder perceives it, for a state policy that is to act behind that encoder (see
+    PerceivedConfig); null for true states.
+    more: further play beside it, each store with its share of every batch. init: a run from whose policy training goes
+    on, weights and normalization; null for a fresh one. It may be a state policy: all but the image encoder is loaded,
+    which starts fresh (needs `use_estimated_state`).
+    learn: shell-style patterns of the parameters that are trained; all others stay as they are.
+    batch_size: examples an update and process. steps: updates, unless max_minutes of wall clock are over
+    before; the learning rate then falls with whichever is further on, and a resumed run is no longer bit for
+    bit an unbroken one. lr: peak learning rate, after `warmup` updates, then a cosine to zero.
+    grad_clip: largest norm of the gradient. ema_decay: of the averaged weights, which are evaluated and saved.
+    val_every, checkpoint_every, log_every: in updates. val_batches: of held-out play, always the same.
+    tracker: where metrics go besides `metrics.jsonl`. precision: float32, or bf16 where the device is good at it.
+    cpu: stay off an accelerator that is there. threads: of the processor, for each process, whatever a launcher says.
+    On two cores, two are 1.3 times as quick as one while nothing else runs; beside a busy process, a quarter as quick.
+    """
+
+    store: Path | StoreConfig = Path("datasets/play")
+    data: DataConfig = field(default_factory=DataConfig)
+    policy: PolicyConfig = field(default_factory=PolicyConfig)
+    corrections: CorrectionsConfig | None = None
+    scenes: ScenesConfig | None = None
+    perceived: PerceivedConfig | None = None
+    extra_datasets: tuple[DatasetSource, ...] = ()
+    init_from: Path | None = None
+    trainable: tuple[str, ...] = ("*",)
+    batch_size: int = 256
+    steps: int = 20_000
+    max_minutes: float | None = None
+    lr: float = 5e-4
+    warmup: int = 200
+    weight_decay: float = 1e-3
+    grad_clip: float = 1.0
+    ema_decay: float = 0.999
+    val_every: int = 1000
+    val_batches: int = 4
+    checkpoint_every: int = 1000
+    log_every: int = 100
+    seed: int = 0
+    tracker: Literal["tensorboard", "wandb"] | None = None
+    precision: Literal["float32", "bf16"] = "float32"
+    cpu: bool = False
+    threads: int = 1
+
+    def __post_init__(self) -> None:
+        """Raises UsageError where a number is out of range."""
+        for name in (
+            "batch_size",
+            "steps",
+            "lr",
+            "val_every",
+            "checkpoint_every",
+            "log_every",
+            "grad_clip",
+            "threads",
+        ):
+            if getattr(self, name) <= 0:
+                raise UsageError(f"{name} must be above 0, got {getattr(self, name)}")
+        if self.max_minutes is not None and self.max_minutes <= 0:
+            raise UsageError(f"max_minutes must be above 0 or null, got {self.max_minutes}")
+        if self.corrections is not None and self.data.target == "next_settled_delta":
+            raise UsageError("corrections teach actions: leave them out where data.target is change")
+        if self.perceived is not None:
+            if self.policy.encoder.observation_cameras:
+                raise UsageError("perceived: this policy looks at images itself; only a state policy is told of them")
+            if self.corrections is not None or self.scenes is not None:
+                raise UsageError("perceived goes with neither corrections nor scenes: leave those out")
+        if self.scenes is not None:
+            if self.policy.history > 1:
+                raise UsageError("scenes are single moments: leave policy.history at 1")
+            rest = 1 - self.scenes.fraction - sum(source.fraction for source in self.extra_datasets)
+            if rest <= 0 and not (self.scenes.fraction == 1 and not self.extra_datasets):
+                raise UsageError(
+                    "scenes.fraction and the shares of `more` leave nothing to the play: let them add up to less"
+                )
+        if not 0 <= self.ema_decay < 1:
+            raise UsageError(f"ema_decay must be in [0, 1), got {self.ema_decay}")
+
+    def resolved(self) -> "TrainConfig":
+        """With the fields of `data` that the policy decides."""
+        encoder = self.policy.encoder
+        of_play = self.scenes is None or self.scenes.fraction < 1  # else nothing of the play itself is looked at
+        decided: dict[str, Any] = {
+            "history": self.policy.history,
+            "chunk": self.policy.chunk,
+            "cameras": encoder.observation_cameras if of_play else (),
+            "goal_cameras": encoder.goal_cameras if of_play else (),
+            "goal_names": encoder.goal_names,
+        }
+        extra_datasets = [
+            dataclasses.replace(m, data=dataclasses.replace(m.data or self.data, **decided))
+            for m in self.extra_datasets
+        ]
+        return dataclasses.replace(
+            self, data=dataclasses.replace(self.data, **decided), extra_datasets=tuple(extra_datasets)
+        )
+
+
+def check_out(config: TrainConfig, out: Path, *, resume: bool) -> None:
+    """Raises UsageError where `out` is taken or, with resume, holds no run of this config."""
+    if not resume:
+        if out.exists() and (not out.is_dir() or any(out.iterdir())):
+            raise UsageError(f"{out} is there already: choose another --out, or go on with it by --resume")
+        return
+    if not (out / "config.yaml").is_file():
+        raise UsageError(f"there is no run at {out} to resume; start it without --resume")
+    before, now = to_dict(load_config(TrainConfig, out / "config.yaml")), to_dict(config)
+    changed = sorted(
+        name
+        for name in flattened(before).keys() | flattened(now).keys()
+        if flattened(before).get(name) != flattened(now).get(name) and name not in ADJUSTABLE
+    )
+    if changed:
+        raise UsageError(f"{out} was trained with another {', '.join(changed)}: give the same config, or another --out")
+
+
+def stored_threads(config: TrainConfig, out: Path, *, resume: bool) -> int:
+    """As the run began: one of before `threads` was a setting took what torch chose."""
+    record = out / "run.json"
+    if resume and record.is_file():
+        return int(json.loads(record.read_text(encoding="utf-8")).get("threads", config.threads))
+    return config.threads
+
+
+def flattened(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """{"a": {"b": 1}} -> {"a.b": 1}; what is neither number nor text is written as text."""
+    flat: dict[str, Any] = {}
+    for name, value in nested.items():
+        if isinstance(value, Mapping):
+            flat |= flattened(value, f"{prefix}{name}.")
+        else:
+            flat[prefix + name] = value if isinstance(value, bool | int | float | str) else str(value)
+    return flat
