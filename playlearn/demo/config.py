@@ -28,7 +28,7 @@ class DemoConfig:
     preview: the run of a shipped policy that shows, while play is collected, what this will come to.
     preview_task: the task that it shows.
     state_loss, encoder_loss: held-out losses, of the head and of where things are, above which a training has taught
-        too little to go on; measured, see eval/results/README.md.
+        too little to go on; measured, see eval/results/notebook.md.
     costs: stage -> what it costs, for the estimate of time.
     seed: of play and trainings.
     """
