@@ -14,6 +14,7 @@ from playlearn.data.prefetch import prepared_ahead
 from playlearn.data.split import val_mask
 from playlearn.episode import IMAGES, Array
 from playlearn.errors import StoreError, UsageError
+from playlearn.layout import ObjectLayout
 from playlearn.relabeling import (
     UNIFORMS,
     GoalSamplerConfig,
@@ -22,7 +23,6 @@ from playlearn.relabeling import (
     SettlingConfig,
     counter_uniforms,
     leads_to_failure,
-    matching,
 )
 from playlearn.store import Store
 
@@ -158,7 +158,7 @@ class PlayDataset:
                 f"data.target: {store.name()} does not say what is achieved, or its settled moments are the robot's; "
                 "there is no change to learn; leave target at actions"
             )
-        self._spoken = matching(store.spec.achieved_names, config.goal_names)
+        self._spoken = ObjectLayout(store.spec.achieved_names).select(config.goal_names)
         self.achieved = np.concatenate([store.array(int(i), "achieved") for i in self.episodes])  # (sum T+1, G)
         self.state = np.concatenate([store.array(int(i), "observation.state") for i in self.episodes])
         self.action = np.concatenate([store.array(int(i), "expert_action") for i in self.episodes])  # (sum T, A)

@@ -16,6 +16,7 @@ import numpy as np
 
 from playlearn.episode import Array, Decision, Goal, Observation
 from playlearn.errors import UsageError
+from playlearn.layout import ObjectLayout
 from playlearn.policies.execution import PolicyActor
 
 NEAR = 0.3  # of a dimension's spread in play: some 4 cm of a block's place on a table
@@ -45,9 +46,7 @@ class SubgoalActor:
         self._until: list[int] = []
         self._subgoals: list[Array | None] = []
         self._goals: Sequence[Goal | None] = ()
-        names = worker.policy.spec.achieved_names
-        owners = np.array([name.partition(".")[0] for name in names])  # `red.x` is part `x` of thing `red`
-        self._things = [owners == owner for owner in dict.fromkeys(owners.tolist())]
+        self._objects = list(ObjectLayout(worker.policy.spec.achieved_names).objects().values())
         self._spread: Array = worker.policy.normalizer.get_buffer("achieved_std").cpu().numpy()
 
     @property
@@ -96,11 +95,11 @@ class SubgoalActor:
         goal = self._goals[k]
         known = [now] if goal is None or self._proposer.reads == "image" else [now, goal.achieved]
         exact = proposed.copy()
-        for thing in self._things:
-            off = [float(np.max(np.abs(place - proposed)[thing] / self._spread[thing])) for place in known]
+        for own in self._objects:
+            off = [float(np.max(np.abs(place - proposed)[own] / self._spread[own])) for place in known]
             nearest = int(np.argmin(off))
             if off[nearest] <= NEAR:
-                exact[thing] = known[nearest][thing]
+                exact[own] = known[nearest][own]
         return exact
 
 

@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
 from typing import Any, Literal, Protocol
 
 import torch
 from torch import Tensor
 
 from playlearn.errors import CheckpointError, UsageError
+from playlearn.layout import ObjectLayout
 
 
 class Observed(Protocol):
@@ -56,7 +56,7 @@ class Inputs:
     goal is shown as a state.
 
     In training, and only where a simulator drew the images: keypoints camera -> (B, T, O, 2) and goal_keypoints
-    camera -> (B, O, 2), x and y in [-1, 1] of `placed_objects` in the image, NaN behind the camera.
+    camera -> (B, O, 2), x and y in [-1, 1] of the objects of `ObjectLayout.places` in the image, NaN behind the camera.
     """
 
     state: Tensor
@@ -146,26 +146,24 @@ class PolicySpec:
                     f"{tuple(self.cameras[camera])}: set the environment's cameras to that size"
                 )
 
-    def select(self, patterns: tuple[str, ...]) -> list[int]:
-        """The indices of `achieved` whose name matches one of the shell-style patterns.
+    def goal_dimensions(self, patterns: Sequence[str]) -> list[int]:
+        """The dimensions of `achieved` that a goal speaks of.
 
         Raises:
-            UsageError: a pattern matches no name.
+            UsageError: a pattern matches no name, or no dimension is left.
         """
-        for pattern in patterns:
-            if not any(fnmatchcase(name, pattern) for name in self.achieved_names):
-                raise UsageError(f"goal pattern {pattern!r} matches none of: {', '.join(self.achieved_names)}")
-        return [i for i, name in enumerate(self.achieved_names) if any(fnmatchcase(name, p) for p in patterns)]
-
-
-def placed_objects(achieved_names: Sequence[str]) -> dict[str, tuple[int, int, int]]:
-    """Object -> where its x, y and z, in meters, stand in `achieved`: those whose place it says."""
-    places: dict[str, dict[str, int]] = {}
-    for index, name in enumerate(achieved_names):
-        thing, _, part = name.partition(".")
-        if part in ("x", "y", "z"):
-            places.setdefault(thing, {})[part] = index
-    return {thing: (at["x"], at["y"], at["z"]) for thing, at in places.items() if len(at) == 3}
+        chosen = ObjectLayout(self.achieved_names).select(patterns)
+        if chosen:
+            return chosen
+        if self.achieved_names:
+            raise UsageError(
+                f"encoder.goal_names is {list(patterns)}: the policy is left without a goal; name some of "
+                f"{', '.join(self.achieved_names)}"
+            )
+        raise UsageError(
+            "encoder: a goal that is a state needs `achieved`, and this play records none: the policy is "
+            "left without a goal; choose an encoder that reads goal images (goal: image)"
+        )
 
 
 def _difference(what: str, mine: tuple[str, ...], theirs: tuple[str, ...]) -> str:

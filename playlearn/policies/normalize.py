@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from playlearn.episode import Array
+from playlearn.layout import ObjectLayout
 
 
 class Statistics(Protocol):
@@ -56,7 +57,7 @@ def pooled(statistics: Mapping[str, Statistics], names: Mapping[str, tuple[str, 
 
     Then a difference of two of them means the same distance, whichever two they are.
     """
-    rows = [(array, i, name.rpartition(".")[2]) for array, own in names.items() for i, name in enumerate(own)]
+    rows = [(array, i, part) for array, own in names.items() for i, part in enumerate(ObjectLayout(own).quantities)]
     made = {array: _Spread(np.array(given.mean), np.array(given.std)) for array, given in statistics.items()}
     for part in dict.fromkeys(part for _, _, part in rows):
         own = [(array, i) for array, i, other in rows if other == part]

@@ -7,6 +7,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from playlearn.episode import Array
+from playlearn.layout import ObjectLayout
 
 MOVE_SECONDS = 2.0  # the time in which a thing that is being moved goes about as far as it will go
 QUIET = 0.05  # the share of windows, the quietest, that show nothing but noise: an arm at play seldom rests
@@ -34,11 +35,10 @@ def measure(
     if not len(names) or not len(rows):
         return change, rest
     moves = np.max([np.ptp(one, axis=0) for one in rows], axis=0) > FINEST
-    parts = np.array([name.rpartition(".")[2] for name in names])
     lag = max(1, round(MOVE_SECONDS * fps))
-    for part in dict.fromkeys(parts.tolist()):
-        own = (parts == part) & moves
-        if own.any():
+    for dimensions in ObjectLayout(names).by_quantity().values():
+        own = [k for k in dimensions if moves[k]]
+        if own:
             noise, move = _noise_and_move([np.asarray(one[:, own], np.float64) for one in rows], window, lag)
             change[own] = max(CHANGE_OF_MOVE * move, CHANGE_OF_NOISE * noise, FINEST)
             rest[own] = max(REST_OF_MOVE * move, REST_OF_NOISE * noise, FINEST)

@@ -26,9 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from playlearn.episode import STORED, Array
+from playlearn.layout import ObjectLayout
 from playlearn.relabeling.calibrate import ranges
 from playlearn.relabeling.robot import NAMES, RobotReader
-from playlearn.relabeling.settling import SettlingConfig, matching, thresholds
+from playlearn.relabeling.settling import SettlingConfig, thresholds
 
 Indices = NDArray[np.int64]
 STATE, ACHIEVED = STORED["state"], STORED["achieved"]
@@ -124,7 +125,7 @@ class RelabelIndex:
             return cls._of(
                 [len(state) - 1 for state in states], [reader(state) for state in states], NAMES, spec.fps, NONE
             )
-        spoken = matching(spec.achieved_names, goal_names)
+        spoken = ObjectLayout(spec.achieved_names).select(goal_names)
         names = [spec.achieved_names[k] for k in spoken]
         settling = settling.measured((one[:, spoken] for one in rows(learned, ACHIEVED)), names, spec.fps)
         return cls.build([one[:, spoken] for one in rows(episodes, ACHIEVED)], names, spec.fps, settling)
@@ -182,7 +183,7 @@ class RelabelIndex:
 
     def groups(self) -> tuple[str, ...]:
         """What the achieved dimensions belong to: the names before the dot, in order."""
-        return tuple(dict.fromkeys(name.split(".")[0] for name in self.names))
+        return tuple(ObjectLayout(self.names).objects())
 
     def changed_groups(self) -> NDArray[np.bool_]:
         """(M, groups) which group changed at each settled moment."""
@@ -198,8 +199,7 @@ class RelabelIndex:
 
     def _by_group(self, flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """(n, G) -> (n, groups): whether any dimension of a group has its flag set."""
-        owners = np.array([name.split(".")[0] for name in self.names])
-        columns = [flags[:, owners == group].any(axis=1) for group in self.groups()]
+        columns = [flags[:, own].any(axis=1) for own in ObjectLayout(self.names).objects().values()]
         return np.stack(columns, axis=1) if columns else np.zeros((len(flags), 0), np.bool_)
 
     def _next(self, episode: int) -> Indices:

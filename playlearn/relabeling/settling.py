@@ -70,18 +70,6 @@ def thresholds(patterns: Mapping[str, float | None], names: Sequence[str], what:
     return np.array(values, np.float64)
 
 
-def matching(names: Sequence[str], patterns: Sequence[str]) -> list[int]:
-    """The indices of the names that match one of the shell-style patterns.
-
-    Raises:
-        UsageError: a pattern matches none of them (where there are any).
-    """
-    for pattern in patterns:
-        if names and not any(fnmatchcase(name, pattern) for name in names):
-            raise UsageError(f"goal_names: {pattern!r} matches none of: {', '.join(names)}")
-    return [k for k, name in enumerate(names) if any(fnmatchcase(name, pattern) for pattern in patterns)]
-
-
 def _given(patterns: Mapping[str, float | None], name: str, what: str) -> float | None:
     fitting = [value for pattern, value in patterns.items() if pattern != "default" and fnmatchcase(name, pattern)]
     if not fitting and "default" not in patterns:

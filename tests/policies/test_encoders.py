@@ -9,7 +9,7 @@ import torch
 from safetensors.torch import load_file
 
 from playlearn.errors import UsageError
-from playlearn.policies import Policy
+from playlearn.policies import Policy, PolicyConfig
 from playlearn.policies.encoders.cameras import pixels, random_shift
 from playlearn.policies.encoders.cnn import SpatialSoftmax
 from playlearn.policies.encoders.objects import ObjectTokens
@@ -73,6 +73,13 @@ def test_goal_names_choose_what_a_goal_speaks_of() -> None:
     assert not torch.equal(made.act(dataclasses.replace(batch, goal_achieved=red), generator()), plain)
     with pytest.raises(UsageError, match=r"'green\.\*' matches none of: red\.x"):
         policy("state", encoder_options={"goal_names": ["green.*"]})
+
+
+def test_a_policy_that_is_left_without_a_goal_is_refused_by_name() -> None:
+    with pytest.raises(UsageError, match=r"encoder\.goal_names is \[\].*without a goal; name some of red\.x"):
+        policy("state", encoder_options={"goal_names": []})
+    with pytest.raises(UsageError, match=r"this play records none: the policy is left without a goal"):
+        PolicyConfig().build(dataclasses.replace(SPEC, achieved_names=()), None, seed=0)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 from playlearn.errors import UsageError
 from playlearn.relabeling import RelabelIndex, SettlingConfig
 from playlearn.relabeling.calibrate import CHANGE_OF_MOVE, CHANGE_OF_NOISE, FINEST, REST_OF_MOVE, measure
-from playlearn.relabeling.settling import matching, thresholds
+from playlearn.relabeling.settling import thresholds
 from tests.synthetic import ACHIEVED, FPS, make_episode
 
 WINDOW = SettlingConfig().window(FPS)
@@ -122,8 +122,3 @@ def test_thresholds_match_patterns_and_the_last_counts() -> None:
 def test_a_name_without_a_threshold_is_refused(patterns: dict[str, float | None]) -> None:
     with pytest.raises(UsageError, match=r"settling\.rest: lamp\.on"):
         thresholds({"red.x": 0.1, **patterns}, ("red.x", "lamp.on"), "rest")
-
-
-def test_matching_keeps_the_order_of_the_names() -> None:
-    assert matching(("red.x", "blue.x", "lamp.on"), ("lamp*", "red.*")) == [0, 2]
-    assert matching((), ("*",)) == []

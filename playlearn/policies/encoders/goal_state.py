@@ -12,7 +12,7 @@ class GoalStateEncoder(nn.Module):
 
     def __init__(self, spec: PolicySpec, goal_names: tuple[str, ...], hidden: int, width: int) -> None:
         super().__init__()
-        self.register_buffer("spoken", torch.tensor(spec.select(goal_names)), persistent=False)
+        self.register_buffer("spoken", torch.tensor(spec.goal_dimensions(goal_names)), persistent=False)
         self.net = mlp(len(self.get_buffer("spoken")), hidden, width)
 
     def forward(self, goal: Tensor) -> Tensor:

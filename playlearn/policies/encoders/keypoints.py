@@ -17,10 +17,11 @@ import torch
 from torch import Tensor, nn
 
 from playlearn.errors import UsageError
+from playlearn.layout import ObjectLayout
 from playlearn.policies.encoders.base import EncoderConfig, Tokens
 from playlearn.policies.encoders.cameras import channels_last
 from playlearn.policies.encoders.image import ImageConfig, ImageEncoder
-from playlearn.policies.inputs import Inputs, PolicySpec, placed_objects
+from playlearn.policies.inputs import Inputs, PolicySpec
 
 
 @EncoderConfig.register_subclass("keypoints")
@@ -46,7 +47,7 @@ class KeypointsConfig(ImageConfig):
         return KeypointBackbone(self, channels, size)
 
     def build(self, spec: PolicySpec, width: int, *, fetch: bool = True) -> "KeypointsEncoder":
-        objects = len(placed_objects(spec.achieved_names))
+        objects = len(ObjectLayout(spec.achieved_names).places())
         if self.heatmaps < max(1, objects):
             raise UsageError(f"encoder.heatmaps is {self.heatmaps}: give one each of the {objects} objects, or more")
         if self.keypoints > 0 and self.shift > 0:

@@ -12,6 +12,7 @@ place relative to the robot is told too.
 import torch
 from torch import Tensor, nn
 
+from playlearn.layout import ObjectLayout
 from playlearn.policies.inputs import PolicySpec
 
 NEAR = 4.0  # what is told finely: a difference of a quarter of the data's spread fills tanh
@@ -24,21 +25,19 @@ class ObjectTokens(nn.Module):
         self, spec: PolicySpec, goal_names: tuple[str, ...], hidden: int, width: int, *, arm: bool = False
     ) -> None:
         super().__init__()
-        chosen = set(spec.select(goal_names))
-        groups: dict[str, list[int]] = {}
-        for index, name in enumerate(spec.achieved_names):
-            groups.setdefault(name.partition(".")[0], []).append(index)
+        chosen = set(spec.goal_dimensions(goal_names))
+        layout = ObjectLayout(spec.achieved_names)
+        objects = layout.objects().values()
         kinds: dict[tuple[str, ...], list[list[int]]] = {}
-        for members in groups.values():
-            parts = tuple(spec.achieved_names[i].partition(".")[2] for i in members)
-            kinds.setdefault(parts, []).append(members)
-        robot = {name.partition(".")[2]: i for i, name in enumerate(spec.state_names)}
+        for members in objects:
+            kinds.setdefault(tuple(layout.parts[i] for i in members), []).append(members)
+        robot = {part: i for i, part in enumerate(ObjectLayout(spec.state_names).parts)}
         self.kinds = nn.ModuleList(
             _Kind(parts, members, chosen, robot, hidden, width) for parts, members in kinds.items()
         )
         self.arm, body = arm, len(spec.state_names)
         self.robot = mlp(3 * body + 1 if arm else body, hidden, width)
-        self.count = len(groups) + 1
+        self.count = len(objects) + 1
 
     def forward(
         self, state: Tensor, achieved: Tensor, goal: Tensor, keep: Tensor, goal_proprio: Tensor | None = None
