@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from playlearn.data import Batch, Indices, PlayDataset, Recorded
+from playlearn.batch import Batch
+from playlearn.data import Indices, PlayDataset, Recorded
 from playlearn.episode import IMAGES, Array
 from playlearn.errors import StoreError
 from playlearn.relabeling import counter_uniforms

@@ -1,12 +1,10 @@
 """A store and a way of relabeling, turned into batches: one dataset, or several in one stream."""
 
 from playlearn.data.dataset import (
-    Batch,
     DataConfig,
     Indices,
     PlayDataset,
     Recorded,
-    Statistics,
     Variation,
     laid_end_to_end,
     statistics,
@@ -14,14 +12,12 @@ from playlearn.data.dataset import (
 from playlearn.data.mixture import DatasetMixture, DatasetSource, mix_datasets
 
 __all__ = [
-    "Batch",
     "DataConfig",
     "DatasetMixture",
     "DatasetSource",
     "Indices",
     "PlayDataset",
     "Recorded",
-    "Statistics",
     "Variation",
     "laid_end_to_end",
     "mix_datasets",

@@ -1,15 +1,16 @@
 """A store and a way of relabeling, turned into batches: a pure function of (seed, epoch, index)."""
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, Literal, Self
+from typing import Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from playlearn.batch import Batch, Statistics
 from playlearn.data.prefetch import prepared_ahead
 from playlearn.data.split import val_mask
 from playlearn.episode import IMAGES, Array
@@ -29,64 +30,6 @@ from playlearn.store import Store
 Indices = NDArray[np.int64]
 type Recorded = Callable[[int | Indices, Indices], Batch]  # (epoch, examples)
 type Variation = Callable[[Recorded, int | Indices, Indices], Batch]
-
-
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """B training examples; example b stands at some moment t of an episode and knows its goal.
-
-    state (B, T, S) float32, achieved (B, T, G) float32, images camera -> (B, T, h, w, 3) uint8: the
-        observations t-T+1 ... t; before the episode's first one it is repeated.
-    history_mask (B, T) bool: False where it was repeated.
-    goal_achieved (B, G) float32, goal_state (B, S) float32, goal_images camera -> (B, h, w, 3) uint8: the goal's
-        observation; the state is the arm's, for goals that speak of it too.
-    action (B, H, A) float32: the labels of the steps t ... t+H-1, the last repeated past the end; or the change, H = 1
-        and A = G (see `DataConfig.labels`).
-    action_mask (B, H) bool: False past the end, past a mistake, and past the goal where the dataset was told so.
-    steps_to_goal (B,) int64: how many actions lie between t and the goal; 0 where none leads there (a goal of
-        another episode, or of the past).
-    keypoints camera -> (B, T, O, 2), goal_keypoints camera -> (B, O, 2) float32: where a camera sees each object, of
-        scenes that a simulator drew (see `policies.Inputs`); NaN where nobody knows, no camera where none is known.
-    """
-
-    state: torch.Tensor
-    achieved: torch.Tensor
-    images: Mapping[str, torch.Tensor]
-    history_mask: torch.Tensor
-    goal_achieved: torch.Tensor
-    goal_proprio: torch.Tensor
-    goal_images: Mapping[str, torch.Tensor]
-    action: torch.Tensor
-    action_mask: torch.Tensor
-    steps_to_goal: torch.Tensor
-    keypoints: Mapping[str, torch.Tensor] = field(default_factory=dict)
-    goal_keypoints: Mapping[str, torch.Tensor] = field(default_factory=dict)
-
-    def __len__(self) -> int:
-        """B."""
-        return len(self.action)
-
-    def to(self, device: torch.device | str) -> Self:
-        """The same batch on another device."""
-
-        def move(value: torch.Tensor | Mapping[str, torch.Tensor]) -> Any:
-            if isinstance(value, Mapping):
-                return {camera: frames.to(device, non_blocking=True) for camera, frames in value.items()}
-            return value.to(device, non_blocking=True)
-
-        return type(self)(**{entry.name: move(getattr(self, entry.name)) for entry in dataclasses.fields(self)})
-
-
-@dataclass(frozen=True)
-class Statistics:
-    """Of one stored array, each (D,) float32; std is 1 where a dimension does not vary."""
-
-    mean: Array
-    std: Array
-    min: Array
-    max: Array
-    q01: Array
-    q99: Array
 
 
 @dataclass(frozen=True)
@@ -359,9 +302,8 @@ def statistics(dataset: PlayDataset) -> dict[str, Statistics]:
 def _statistics(rows: Array) -> Statistics:
     low, high = rows.min(axis=0), rows.max(axis=0)
     std = rows.std(axis=0, dtype=np.float64)
-    q01, q99 = np.quantile(rows, (0.01, 0.99), axis=0)
     constant = (high - low) < 1e-6 * np.maximum(1.0, np.abs(high))
-    parts = rows.mean(axis=0, dtype=np.float64), np.where(constant, 1.0, std), low, high, q01, q99
+    parts = rows.mean(axis=0, dtype=np.float64), np.where(constant, 1.0, std)
     return Statistics(*(np.asarray(part, np.float32) for part in parts))
 
 

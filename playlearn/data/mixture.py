@@ -9,7 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
-from playlearn.data.dataset import Batch, DataConfig, Indices, PlayDataset
+from playlearn.batch import Batch
+from playlearn.data.dataset import DataConfig, Indices, PlayDataset
 from playlearn.data.prefetch import prepared_ahead
 from playlearn.errors import UsageError
 from playlearn.store import Store, StoreConfig, open_store

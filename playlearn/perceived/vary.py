@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from playlearn.data import Batch, Indices, PlayDataset, Recorded
+from playlearn.batch import Batch
+from playlearn.data import Indices, PlayDataset, Recorded
 from playlearn.episode import Array
 from playlearn.store import episode_path
 from playlearn.store.tensors import map_tensors, read_header

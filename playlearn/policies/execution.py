@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from playlearn.batch import Inputs
 from playlearn.episode import Array, Decision, Goal, Observation
 from playlearn.errors import UsageError
-from playlearn.policies.inputs import Inputs
 from playlearn.policies.policy import Policy
 
 

@@ -1,86 +1,11 @@
-"""What a policy reads. Any object with these fields will do: the dataset's Batch has them, and so has `Inputs`."""
+"""The environment that a policy was made for: names, rate, cameras; and what differs from another one."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
-import torch
-from torch import Tensor
-
 from playlearn.errors import CheckpointError, UsageError
 from playlearn.layout import ObjectLayout
-
-
-class Observed(Protocol):
-    """Observation history and goal of B examples (fields as in `Inputs`)."""
-
-    @property
-    def state(self) -> Tensor: ...
-    @property
-    def achieved(self) -> Tensor: ...
-    @property
-    def images(self) -> Mapping[str, Tensor]: ...
-    @property
-    def history_mask(self) -> Tensor: ...
-    @property
-    def goal_achieved(self) -> Tensor: ...
-    @property
-    def goal_proprio(self) -> Tensor: ...
-    @property
-    def goal_images(self) -> Mapping[str, Tensor]: ...
-
-
-class Labeled(Observed, Protocol):
-    """The same with what a learner copies: action (B, H, A) in [-1, 1], action_mask (B, H) bool, True if it counts.
-
-    keypoints, goal_keypoints: see `Inputs`.
-    """
-
-    @property
-    def action(self) -> Tensor: ...
-    @property
-    def action_mask(self) -> Tensor: ...
-    @property
-    def keypoints(self) -> Mapping[str, Tensor]: ...
-    @property
-    def goal_keypoints(self) -> Mapping[str, Tensor]: ...
-
-
-@dataclass(frozen=True, eq=False)
-class Inputs:
-    """Observation history and goal of B examples.
-
-    state (B, T, S), achieved (B, T, G), images camera -> (B, T, h, w, 3) uint8, history_mask (B, T) bool,
-    False where the history was padded by repeating its first observation; goal_achieved (B, G),
-    goal_state (B, S) of the robot at the goal, goal_images camera -> (B, h, w, 3) uint8, empty where the
-    goal is shown as a state.
-
-    In training, and only where a simulator drew the images: keypoints camera -> (B, T, O, 2) and goal_keypoints
-    camera -> (B, O, 2), x and y in [-1, 1] of the objects of `ObjectLayout.places` in the image, NaN behind the camera.
-    """
-
-    state: Tensor
-    achieved: Tensor
-    history_mask: Tensor
-    goal_achieved: Tensor
-    goal_proprio: Tensor
-    images: Mapping[str, Tensor] = field(default_factory=dict)
-    goal_images: Mapping[str, Tensor] = field(default_factory=dict)
-    keypoints: Mapping[str, Tensor] = field(default_factory=dict)
-    goal_keypoints: Mapping[str, Tensor] = field(default_factory=dict)
-
-    def to(self, device: torch.device | str) -> "Inputs":
-        return Inputs(
-            state=self.state.to(device),
-            achieved=self.achieved.to(device),
-            history_mask=self.history_mask.to(device),
-            goal_achieved=self.goal_achieved.to(device),
-            goal_proprio=self.goal_proprio.to(device),
-            images={camera: frames.to(device) for camera, frames in self.images.items()},
-            goal_images={camera: frames.to(device) for camera, frames in self.goal_images.items()},
-            keypoints={camera: points.to(device) for camera, points in self.keypoints.items()},
-            goal_keypoints={camera: points.to(device) for camera, points in self.goal_keypoints.items()},
-        )
 
 
 class Named(Protocol):

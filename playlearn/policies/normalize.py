@@ -1,23 +1,13 @@
 """Numbers to zero mean and unit spread and back; the statistics travel with the checkpoint."""
 
 from collections.abc import Mapping
-from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from playlearn.episode import Array
+from playlearn.batch import Statistics
 from playlearn.layout import ObjectLayout
-
-
-class Statistics(Protocol):
-    """Mean and standard deviation of one vector, each (N,)."""
-
-    @property
-    def mean(self) -> Array: ...
-    @property
-    def std(self) -> Array: ...
 
 
 class Normalizer(nn.Module):
@@ -49,7 +39,7 @@ class Normalizer(nn.Module):
     @classmethod
     def identity(cls, widths: Mapping[str, int]) -> "Normalizer":
         """One that changes nothing: the shapes to load a checkpoint's statistics into."""
-        return cls({name: _Spread(np.zeros(n), np.ones(n)) for name, n in widths.items()})
+        return cls({name: Statistics(np.zeros(n), np.ones(n)) for name, n in widths.items()})
 
 
 def pooled(statistics: Mapping[str, Statistics], names: Mapping[str, tuple[str, ...]]) -> dict[str, Statistics]:
@@ -58,7 +48,7 @@ def pooled(statistics: Mapping[str, Statistics], names: Mapping[str, tuple[str, 
     Then a difference of two of them means the same distance, whichever two they are.
     """
     rows = [(array, i, part) for array, own in names.items() for i, part in enumerate(ObjectLayout(own).quantities)]
-    made = {array: _Spread(np.array(given.mean), np.array(given.std)) for array, given in statistics.items()}
+    made = {array: Statistics(np.array(given.mean), np.array(given.std)) for array, given in statistics.items()}
     for part in dict.fromkeys(part for _, _, part in rows):
         own = [(array, i) for array, i, other in rows if other == part]
         means = np.array([statistics[array].mean[i] for array, i in own], float)
@@ -66,9 +56,4 @@ def pooled(statistics: Mapping[str, Statistics], names: Mapping[str, tuple[str, 
         for array, i in own:
             made[array].mean[i] = means.mean()
             made[array].std[i] = np.sqrt((spreads**2 + (means - means.mean()) ** 2).mean())
-    return dict(made)
-
-
-class _Spread(NamedTuple):
-    mean: Array
-    std: Array
+    return made

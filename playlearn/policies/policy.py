@@ -12,12 +12,13 @@ import torch
 from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
+from playlearn.batch import Batch, Inputs, Statistics
 from playlearn.config import atomic_write, from_dict, to_dict
 from playlearn.errors import CheckpointError, PlaylearnError, UsageError
 from playlearn.policies.encoders import EncoderConfig, StateConfig
 from playlearn.policies.heads import DeterministicConfig, Generators, Guidance, HeadConfig
-from playlearn.policies.inputs import Inputs, Labeled, Named, Observed, PolicySpec
-from playlearn.policies.normalize import Normalizer, Statistics, pooled
+from playlearn.policies.inputs import Named, PolicySpec
+from playlearn.policies.normalize import Normalizer, pooled
 from playlearn.policies.trunks import TransformerConfig, TrunkConfig
 
 WEIGHTS, DESCRIPTION = "policy.safetensors", "policy.json"
@@ -163,7 +164,7 @@ class Policy(nn.Module):
                 parameter.requires_grad_(False)
         return [parameter for parameter in named.values() if parameter.requires_grad]
 
-    def forward(self, batch: Labeled, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
+    def forward(self, batch: Batch, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
         """Scalar training loss and its parts; all randomness (dropout, augmentation, noise) from `generator`."""
         config, normal = self.config, self._normalized(batch)
         if not self.acting_learns:
@@ -187,7 +188,7 @@ class Policy(nn.Module):
         taught = chain(self.encoder.token_parameters(), self.trunk.parameters(), self.head.parameters())
         return any(parameter.requires_grad for parameter in taught)
 
-    def loss(self, batch: Labeled, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
+    def loss(self, batch: Batch, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
         """The same with nothing withheld and no augmentation: what held-out play is judged by."""
         normal = self._normalized(batch)
         if not self.acting_learns:
@@ -198,7 +199,7 @@ class Policy(nn.Module):
 
     @torch.inference_mode()
     def act(
-        self, inputs: Observed, generator: Generators, guidance: float | None = None, *, mode: bool = False
+        self, inputs: Inputs, generator: Generators, guidance: float | None = None, *, mode: bool = False
     ) -> Tensor:
         """(B, H, A) float32 on the CPU, in units of the environment; actions clipped to [-1, 1].
 
@@ -218,7 +219,7 @@ class Policy(nn.Module):
         return (chunk.clamp(-1, 1) if self.spec.clipped else chunk).float().cpu()
 
     @torch.inference_mode()
-    def estimate_achieved(self, inputs: Observed) -> Tensor:
+    def estimate_achieved(self, inputs: Inputs) -> Tensor:
         """(B, G) float32 on the CPU: what is achieved now, read from its images where it looks through cameras.
 
         Raises:
@@ -233,7 +234,7 @@ class Policy(nn.Module):
         return self.normalizer.restore("achieved", observed[:, -1]).float().cpu()
 
     @torch.inference_mode()
-    def perceived(self, inputs: Observed) -> tuple[Tensor, Tensor]:
+    def perceived(self, inputs: Inputs) -> tuple[Tensor, Tensor]:
         """(B, T, G) and (B, G) float32 on the CPU: what is achieved, and in the goal, as its images tell.
 
         Raises:
@@ -284,14 +285,14 @@ class Policy(nn.Module):
             raise CheckpointError(f"the policy at {path} cannot be read: {type(error).__name__}: {error}") from error
         return policy.to(device).eval()
 
-    def _kept(self, dropout: float, batch: Labeled, generator: torch.Generator) -> Tensor:
+    def _kept(self, dropout: float, batch: Batch, generator: torch.Generator) -> Tensor:
         """(B,) bool, False for a share of `dropout`."""
         draws = torch.rand(len(batch.state), generator=generator, device=generator.device)
         return (draws >= dropout).to(self.device)
 
     def _loss(
         self,
-        batch: Labeled,
+        batch: Batch,
         normal: Inputs,
         keep: Tensor,
         generator: torch.Generator,
@@ -315,7 +316,7 @@ class Policy(nn.Module):
             mask = torch.cat([steps.new_ones(len(steps), self.encoder.goal_tokens), steps], dim=1)
         return self.trunk(tokens, mask), self.encoder.auxiliary(encoded, inputs)
 
-    def _normalized(self, inputs: Observed) -> Inputs:
+    def _normalized(self, inputs: Inputs) -> Inputs:
         """On this policy's device, numbers normalized, only the cameras it reads."""
         encoder, device, normalize = self.config.encoder, self.device, self.normalizer.normalize
         return Inputs(
@@ -333,7 +334,7 @@ class Policy(nn.Module):
         )
 
 
-def _with_keypoints(normal: Inputs, batch: Labeled) -> Inputs:
+def _with_keypoints(normal: Inputs, batch: Batch) -> Inputs:
     return replace(normal, keypoints=batch.keypoints, goal_keypoints=batch.goal_keypoints)
 
 

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from playlearn.data import Batch, PlayDataset, Variation
+from playlearn.batch import Batch
+from playlearn.data import PlayDataset, Variation
 from playlearn.errors import UsageError
 from playlearn.scenes import Scenes
 from playlearn.store import Store

@@ -16,9 +16,10 @@ import torch
 from accelerate import Accelerator
 from torch import Tensor, nn
 
+from playlearn.batch import Batch
 from playlearn.config import atomic_write, git_revision, save_config, to_dict, versions
 from playlearn.corrections import Corrections, make_corrections
-from playlearn.data import Batch, PlayDataset, statistics
+from playlearn.data import PlayDataset, statistics
 from playlearn.data.mixture import DatasetMixture, mix_datasets
 from playlearn.data.split import val_mask
 from playlearn.errors import NotLearnedError

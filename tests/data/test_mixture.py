@@ -12,8 +12,9 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from playlearn.batch import Batch
 from playlearn.config import from_dict
-from playlearn.data import Batch, DataConfig, PlayDataset
+from playlearn.data import DataConfig, PlayDataset
 from playlearn.data.mixture import DatasetMixture, DatasetSource, mix_datasets
 from playlearn.errors import CheckpointError, StoreError, UsageError
 from playlearn.policies import Policy

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import torch
 
+from playlearn.batch import Inputs
 from playlearn.episode import Goal, Observation
 from playlearn.errors import UsageError
-from playlearn.policies import Inputs, PolicyActor
+from playlearn.policies import PolicyActor
 from tests.policies.parts import SPEC, A, G, H, S, policy
 
 

@@ -8,7 +8,8 @@ import draccus
 import torch
 from torch import Tensor, nn
 
-from playlearn.policies.inputs import Inputs, Observed, PolicySpec
+from playlearn.batch import Inputs
+from playlearn.policies.inputs import PolicySpec
 
 Modality = Literal["state", "image"]
 
@@ -72,7 +73,7 @@ class Encoder(nn.Module):
     goal_tokens: int
     step_tokens: int
 
-    def forward(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
+    def forward(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
         """inputs: state and achieved normalized, images uint8. keep: (B,) bool, False where the goal is withheld.
 
         generator: draws the augmentation; None for none (evaluation).
@@ -83,7 +84,7 @@ class Encoder(nn.Module):
         """The parameters that a loss of the tokens teaches; the others learn from `auxiliary` alone."""
         return self.parameters()
 
-    def perceive(self, inputs: Observed, generator: torch.Generator | None = None) -> Tokens:
+    def perceive(self, inputs: Inputs, generator: torch.Generator | None = None) -> Tokens:
         """What `auxiliary` needs of `forward`, and no more; its tokens may be empty."""
         keep = torch.ones(len(inputs.state), dtype=torch.bool, device=inputs.state.device)
         tokens: Tokens = self(inputs, keep, generator)

@@ -6,9 +6,9 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
+from playlearn.batch import Inputs
 from playlearn.errors import UsageError
 from playlearn.policies.encoders.base import EncoderConfig, Modality
-from playlearn.policies.inputs import Observed
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class CamerasConfig(EncoderConfig):
         if not 0 <= self.image_goal_prob <= 1:
             raise UsageError(f"encoder.image_goal_prob is a share of the examples, 0 to 1: got {self.image_goal_prob}")
 
-    def pictured(self, inputs: Observed, generator: torch.Generator | None) -> Tensor:
+    def pictured(self, inputs: Inputs, generator: torch.Generator | None) -> Tensor:
         """(B,) bool, True for the examples whose goal is an image; in training drawn, else by what there is."""
         batch, device = len(inputs.state), inputs.state.device
         shown = self.goal != "state" and self.goal_camera in inputs.goal_images

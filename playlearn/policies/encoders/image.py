@@ -7,12 +7,13 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor, nn
 
+from playlearn.batch import Inputs
 from playlearn.errors import UsageError
 from playlearn.policies.encoders.base import Encoder, Tokens
 from playlearn.policies.encoders.cameras import CamerasConfig, pixels, random_shift
 from playlearn.policies.encoders.goal_state import GoalStateEncoder
 from playlearn.policies.encoders.objects import ObjectTokens, mlp
-from playlearn.policies.inputs import Inputs, Observed, PolicySpec
+from playlearn.policies.inputs import PolicySpec
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ class ImageEncoder(Encoder):
             if "state" in config.goals:
                 self.told = GoalStateEncoder(spec, config.goal_names, config.hidden, width)
 
-    def forward(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
+    def forward(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
         config = self.config
         pictured = config.pictured(inputs, generator)  # (B,)
         seen = self._see(inputs, keep & pictured, generator)
@@ -131,7 +132,7 @@ class ImageEncoder(Encoder):
         reads_images = ("front.", "others.", "estimate.")
         return [parameter for name, parameter in self.named_parameters() if not name.startswith(reads_images)]
 
-    def perceive(self, inputs: Observed, generator: torch.Generator | None = None) -> Tokens:
+    def perceive(self, inputs: Inputs, generator: torch.Generator | None = None) -> Tokens:
         pictured = self.config.pictured(inputs, generator)
         seen = self._see(inputs, pictured, generator)
         observed, goal = self._estimated(inputs, seen, pictured)
@@ -150,7 +151,7 @@ class ImageEncoder(Encoder):
         loss = loss + nn.functional.smooth_l1_loss(tokens.wanted, inputs.goal_achieved, beta=0.1)
         return {"achieved": self.config.state_supervision * loss}
 
-    def _estimated(self, inputs: Observed, seen: "_Seen", pictured: Tensor) -> tuple[Tensor | None, Tensor | None]:
+    def _estimated(self, inputs: Inputs, seen: "_Seen", pictured: Tensor) -> tuple[Tensor | None, Tensor | None]:
         """(B, T, G) and (B, G), normalized: where things are, and where they are in the goal; None where not taught."""
         if self.estimate is None:
             return None, None
@@ -160,7 +161,7 @@ class ImageEncoder(Encoder):
             goal = torch.where(pictured[:, None], self.estimate.wanted(seen.goal), goal)
         return observed, goal
 
-    def _see(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None) -> "_Seen":
+    def _see(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None) -> "_Seen":
         """keep: (B,) bool, whose goal image may be seen. Fused early, the last step's features tell both."""
         config, (batch, steps) = self.config, inputs.state.shape[:2]
         heatmaps: dict[str, Tensor] = {}
@@ -183,7 +184,7 @@ class ImageEncoder(Encoder):
                 heatmaps[camera] = maps.unflatten(0, (batch, steps))
         return _Seen(cameras, goal, heatmaps, goal_heatmaps)
 
-    def _front_frames(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None) -> Tensor:
+    def _front_frames(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None) -> Tensor:
         """(B, T, C, h, w) what the network of the goal's camera looks at: fused with the goal, or that is one more.
 
         A goal that is the observation itself, as a drawn scene's is, is looked at once.
@@ -213,7 +214,7 @@ class ImageEncoder(Encoder):
         return frames.view(batch, -1, *frames.shape[1:])
 
 
-def _is_own_goal(inputs: Observed, camera: str) -> bool:
+def _is_own_goal(inputs: Inputs, camera: str) -> bool:
     """Whether the goal image is the observation itself, in the same memory."""
     shown, wanted = inputs.images[camera], inputs.goal_images[camera]
     return shown.shape[1] == 1 and shown.data_ptr() == wanted.data_ptr()

@@ -16,12 +16,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from playlearn.batch import Inputs
 from playlearn.errors import UsageError
 from playlearn.layout import ObjectLayout
 from playlearn.policies.encoders.base import EncoderConfig, Tokens
 from playlearn.policies.encoders.cameras import channels_last
 from playlearn.policies.encoders.image import ImageConfig, ImageEncoder
-from playlearn.policies.inputs import Inputs, PolicySpec
+from playlearn.policies.inputs import PolicySpec
 
 
 @EncoderConfig.register_subclass("keypoints")

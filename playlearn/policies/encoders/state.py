@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from playlearn.batch import Inputs
 from playlearn.policies.encoders.base import Encoder, EncoderConfig, Modality, Tokens
 from playlearn.policies.encoders.objects import ObjectTokens
-from playlearn.policies.inputs import Observed, PolicySpec
+from playlearn.policies.inputs import PolicySpec
 
 
 @EncoderConfig.register_subclass("state")
@@ -41,6 +42,6 @@ class StateEncoder(Encoder):
         self.step_tokens = self.objects.count
         self.goal_flag = nn.Parameter(torch.randn(2, width) * 0.02)  # without, with a goal
 
-    def forward(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
+    def forward(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
         steps = self.objects(inputs.state, inputs.achieved, inputs.goal_achieved, keep, inputs.goal_proprio)
         return Tokens(goal=self.goal_flag[keep.long()].unsqueeze(1), steps=steps)

@@ -11,12 +11,13 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
+from playlearn.batch import Inputs
 from playlearn.errors import UsageError
 from playlearn.policies.encoders.base import Encoder, EncoderConfig, Tokens
 from playlearn.policies.encoders.cameras import CamerasConfig, channels_last, pixels, random_shift
 from playlearn.policies.encoders.goal_state import GoalStateEncoder
 from playlearn.policies.encoders.objects import mlp
-from playlearn.policies.inputs import Observed, PolicySpec
+from playlearn.policies.inputs import PolicySpec
 
 
 @EncoderConfig.register_subclass("tokens")
@@ -67,7 +68,7 @@ class TokensEncoder(Encoder):
             self.told = GoalStateEncoder(spec, config.goal_names, config.hidden, config.hidden)
         self.goal_out = nn.Linear(config.hidden, width)
 
-    def forward(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
+    def forward(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
         config, (batch, steps) = self.config, inputs.state.shape[:2]
         pictured = config.pictured(inputs, generator)  # (B,)
         frames = {camera: inputs.images[camera] for camera in config.cameras}  # (B, T, h, w, 3)
@@ -89,7 +90,7 @@ class TokensEncoder(Encoder):
         tokens.append(self.proprio(inputs.state).unsqueeze(2))
         return Tokens(self.goal_out(goal).unsqueeze(1), torch.cat(tokens, dim=2))
 
-    def _goal(self, inputs: Observed, frame: Tensor | None, keep: Tensor, pictured: Tensor) -> Tensor:
+    def _goal(self, inputs: Inputs, frame: Tensor | None, keep: Tensor, pictured: Tensor) -> Tensor:
         """(B, hidden) what the goal says, from an image or a state, or that there is none."""
         sort = keep.long() if len(self.config.goals) == 1 else keep * (2 - pictured.long())
         goal = self.goal_flag[sort]
