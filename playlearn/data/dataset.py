@@ -1,7 +1,6 @@
 """A store and a way of relabeling, turned into batches: a pure function of (seed, epoch, index)."""
 
-import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Literal
@@ -10,9 +9,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from playlearn.batch import Batch, Statistics
-from playlearn.data.prefetch import prepared_ahead
+from playlearn.batch import Batch
+from playlearn.data.cameras import check_cameras
 from playlearn.data.split import val_mask
+from playlearn.data.stream import Examples, Indices
 from playlearn.episode import IMAGES, Array
 from playlearn.errors import StoreError, UsageError
 from playlearn.layout import ObjectLayout
@@ -26,10 +26,6 @@ from playlearn.relabeling import (
     leads_to_failure,
 )
 from playlearn.store import Store
-
-Indices = NDArray[np.int64]
-type Recorded = Callable[[int | Indices, Indices], Batch]  # (epoch, examples)
-type Variation = Callable[[Recorded, int | Indices, Indices], Batch]
 
 
 @dataclass(frozen=True)
@@ -74,7 +70,7 @@ class DataConfig:
         return PlayDataset(store, self, split, seed)
 
 
-class PlayDataset:
+class PlayDataset(Examples):
     """Every step of a store's play from which a goal can be drawn; safe to share between threads.
 
     Numbers of few dimensions are held in memory; images stay in the store and are read as needed.
@@ -84,11 +80,11 @@ class PlayDataset:
         """See `DataConfig`.
 
         Raises:
-            StoreError: the store lacks a camera, or holds no step from which a goal can be drawn.
-            UsageError: a setting is out of range.
+            StoreError: the store holds no step from which a goal can be drawn.
+            UsageError: a setting is out of range, or the store lacks a camera.
         """
         _check(config, split)
-        _check_cameras(store, (*config.cameras, *config.goal_cameras))
+        check_cameras(store, (*config.cameras, *config.goal_cameras))
         out = val_mask(store, config.val_fraction)
         self.episodes: Indices = np.flatnonzero(out if split == "val" else ~out)  # (N,) positions in the store
         if len(self.episodes) == 0:
@@ -120,7 +116,6 @@ class PlayDataset:
             )
         self._episode, self._t = episode[usable], t[usable]  # (n,), (n,)
         self._cumulative = self._weights() if config.balance else None
-        self.vary: Variation | None = None  # what makes other examples of some
 
     def __len__(self) -> int:
         """n, the examples of an epoch."""
@@ -156,12 +151,8 @@ class PlayDataset:
         return np.asarray(np.diff(self._cumulative, prepend=0.0)[indices], np.float64)
 
     def batch(self, epoch: int | Indices, indices: Indices) -> Batch:
-        """The given examples as they are in an epoch (one for all, or one each), varied where there is what varies."""
+        """The given examples as they are in an epoch (one for all, or one each)."""
         indices = np.asarray(indices, np.int64)
-        return self.recorded(epoch, indices) if self.vary is None else self.vary(self.recorded, epoch, indices)
-
-    def recorded(self, epoch: int | Indices, indices: Indices) -> Batch:
-        """The given examples as they were recorded."""
         episode, t, goal = self._episode[indices], self._t[indices], self.goals(epoch, indices)
         length, config = self.table.lengths[episode], self.config
         past = t[:, None] + np.arange(1 - config.history, 1)  # (B, T)
@@ -190,25 +181,6 @@ class PlayDataset:
             action_mask=torch.from_numpy(counts),
             steps_to_goal=torch.from_numpy(np.where(leads, goal - t, 0)),
         )
-
-    def batches(self, batch_size: int, start_step: int = 0, rank: int = 0, ranks: int = 1) -> Iterator[Batch]:
-        """Batches without end, prepared one ahead in a thread.
-
-        Step s of rank r takes places (s * ranks + r) * batch_size onwards of all epochs laid end to end,
-        so that a resumed run goes on exactly where it stopped. Close the iterator to end the thread.
-        """
-        orders: dict[int, Indices] = {}
-
-        def make(step: int) -> Batch:
-            start = (step * ranks + rank) * batch_size
-            return self.at(np.arange(start, start + batch_size), orders)
-
-        return prepared_ahead(make, start_step)
-
-    def at(self, places: Indices, orders: dict[int, Indices]) -> Batch:
-        """The batch at ascending places of all epochs laid end to end; `orders` keeps the current ones."""
-        epochs, indices = laid_end_to_end(places, len(self), orders, self.epoch_indices)
-        return self.batch(epochs, indices)
 
     def _frames(self, camera: str, episode: Indices, rows: Indices) -> torch.Tensor:
         """(B, k, h, w, 3) uint8 of observations rows (B, k)."""
@@ -272,41 +244,6 @@ class PlayDataset:
         return np.asarray(np.cumsum(weights / weights.sum()), np.float64)
 
 
-def laid_end_to_end(
-    places: Indices, size: int, orders: dict[int, Indices], order: Callable[[int], Indices]
-) -> tuple[Indices, Indices]:
-    """The epoch, and the index in it, of ascending places of all epochs of `size` examples laid end to end.
-
-    order: epoch -> (size,) its indices in their order; `orders` keeps those of the current epochs.
-    """
-    epochs = places // size
-    current = np.unique(epochs).tolist()
-    for epoch in set(orders) - set(current):
-        del orders[epoch]
-    for epoch in set(current) - set(orders):
-        orders[epoch] = order(epoch)
-    return epochs, np.concatenate([orders[epoch][places[epochs == epoch] % size] for epoch in current])
-
-
-def statistics(dataset: PlayDataset) -> dict[str, Statistics]:
-    """Of `state`, `achieved` and `action` over every recorded row of the dataset's episodes.
-
-    A change is measured by the spread of what changes: its own would be next to nothing where change is rare.
-    """
-    made = {name: _statistics(getattr(dataset, name)) for name in ("state", "achieved", "action")}
-    if dataset.config.target == "next_settled_delta":
-        made["action"] = dataclasses.replace(made["achieved"], mean=np.zeros_like(made["achieved"].mean))
-    return made
-
-
-def _statistics(rows: Array) -> Statistics:
-    low, high = rows.min(axis=0), rows.max(axis=0)
-    std = rows.std(axis=0, dtype=np.float64)
-    constant = (high - low) < 1e-6 * np.maximum(1.0, np.abs(high))
-    parts = rows.mean(axis=0, dtype=np.float64), np.where(constant, 1.0, std)
-    return Statistics(*(np.asarray(part, np.float32) for part in parts))
-
-
 def _check(config: DataConfig, split: str) -> None:
     if split not in ("train", "val"):
         raise UsageError(f"split must be train or heldout, got {split!r}")
@@ -321,12 +258,3 @@ def _check(config: DataConfig, split: str) -> None:
         share = getattr(config, name)
         if not 0 <= share <= 1:
             raise UsageError(f"data.{name} must lie between 0 and 1, got {share}")
-
-
-def _check_cameras(store: Store, wanted: Sequence[str]) -> None:
-    missing = sorted(set(wanted) - set(store.cameras()))
-    if missing:
-        there = ", ".join(f"{camera} {h}x{w}" for camera, (h, w) in store.cameras().items()) or "none"
-        raise StoreError(
-            f"{store.name()} has no images of {', '.join(missing)} (it has: {there}): draw them with `playlearn render`"
-        )

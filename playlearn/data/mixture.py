@@ -10,8 +10,9 @@ import numpy as np
 import torch
 
 from playlearn.batch import Batch
-from playlearn.data.dataset import DataConfig, Indices, PlayDataset
+from playlearn.data.dataset import DataConfig, PlayDataset
 from playlearn.data.prefetch import prepared_ahead
+from playlearn.data.stream import Indices
 from playlearn.errors import UsageError
 from playlearn.store import Store, StoreConfig, open_store
 
@@ -33,31 +34,38 @@ class DatasetSource:
             raise UsageError(f"fraction must lie between 0 and 1, both left out, got {self.fraction:g}")
 
 
-def mix_datasets(
-    own: PlayDataset, sources: Sequence[DatasetSource], seed: int, parts: Sequence[tuple["Part", float]] = ()
-) -> "PlayDataset | DatasetMixture":
-    """What a run is shown: its own play alone, or with the training part of further stores.
+def build_sources(own: PlayDataset, sources: Sequence[DatasetSource], seed: int) -> list[tuple[PlayDataset, float]]:
+    """The training split of each further store, with its fraction of all examples.
 
-    parts: further examples, with their shares.
+    own: the run's own play; says how examples are cut where a source does not.
 
     Raises:
-        UsageError: the shares leave nothing to the run's own play; a store's numbers or pictures mean something else.
+        UsageError: the fractions leave nothing to `own`; a store's numbers or images mean something else.
         StoreError: a store is missing, or holds nothing to learn from.
     """
-    extra = list(parts)
+    built = []
     for number, source in enumerate(sources, 1):
         store = open_store(source.store)
         _check_same(own, store)
-        extra.append(((source.data or own.config).build(store, "train", seed + number), source.fraction))
+        built.append(((source.data or own.config).build(store, "train", seed + number), source.fraction))
+    _check_fractions([source.fraction for source in sources])
+    return built
+
+
+def mix_datasets[P: "Part"](own: P, extra: Sequence[tuple["Part", float]]) -> "P | DatasetMixture":
+    """What a run is shown: its own play alone, or mixed with further examples, each with its fraction.
+
+    Raises:
+        UsageError: the fractions leave nothing to `own`.
+    """
     return DatasetMixture(own, extra) if extra else own
 
 
 class Part(Protocol):
-    """Examples that can be dealt out."""
+    """Examples that are shown alone or dealt out, see `Examples`."""
 
-    def at(self, places: Indices, orders: dict[int, Indices]) -> Batch:
-        """See `PlayDataset.at`."""
-        ...
+    def at(self, places: Indices, orders: dict[int, Indices]) -> Batch: ...
+    def batches(self, batch_size: int, start_step: int = 0, rank: int = 0, ranks: int = 1) -> Iterator[Batch]: ...
 
 
 class DatasetMixture:
@@ -74,10 +82,7 @@ class DatasetMixture:
             UsageError: they leave nothing.
         """
         fractions = [fraction for _, fraction in extra]
-        if sum(fractions) >= 1:
-            raise UsageError(
-                f"the shares of further play add up to {sum(fractions):g}: leave some of 1 to the run's own"
-            )
+        _check_fractions(fractions)
         self.parts = [*(part for part, _ in extra), own]
         left = 1.0 - np.concatenate([[0.0], np.cumsum(fractions)])
         self._of_rest = [fraction / rest for fraction, rest in zip(fractions, left[:-1].tolist(), strict=True)]
@@ -93,7 +98,7 @@ class DatasetMixture:
         return [*dealt, left]
 
     def batches(self, batch_size: int, start_step: int = 0, rank: int = 0, ranks: int = 1) -> Iterator[Batch]:
-        """See `PlayDataset.batches`."""
+        """See `Examples.batches`."""
         orders: list[dict[int, Indices]] = [{} for _ in self.parts]
 
         def make(step: int) -> Batch:
@@ -122,6 +127,14 @@ def joined(batches: Sequence[Batch]) -> Batch:
 
     names = [entry.name for entry in dataclasses.fields(Batch)]
     return Batch(**{name: join([getattr(batch, name) for batch in batches]) for name in names})
+
+
+def _check_fractions(fractions: Sequence[float]) -> None:
+    """Raises UsageError where they leave nothing to the run's own play."""
+    if sum(fractions) >= 1:
+        raise UsageError(
+            f"the fractions of further play add up to {sum(fractions):g}: leave some of 1 to the run's own"
+        )
 
 
 def _check_same(own: PlayDataset, other: Store) -> None:

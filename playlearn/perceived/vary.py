@@ -14,7 +14,7 @@ from playlearn.store.tensors import map_tensors, read_header
 
 
 class Perceived:
-    """What `make_perceived` left in a folder, as variants of a dataset's examples (`PlayDataset.vary`)."""
+    """What `make_perceived` left in a folder, as the augmentation of a dataset."""
 
     def __init__(self, folder: Path, dataset: PlayDataset) -> None:
         """Raises StoreError: a file is missing or damaged."""

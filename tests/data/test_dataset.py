@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from playlearn.batch import Batch
-from playlearn.data import DataConfig, PlayDataset, statistics
+from playlearn.data import AugmentedDataset, DataConfig, Indices, PlayDataset, Recorded, statistics
 from playlearn.data.split import val_episodes
 from playlearn.errors import StoreError, UsageError
 from playlearn.relabeling import (
@@ -131,6 +131,23 @@ def test_batches_go_on_exactly_where_they_stopped(store: NativeStore, start: int
     resumed = list(islice(data.batches(size, start_step=start), 9 - start))
     assert all(equal(one, other) for one, other in zip(unbroken[start:], resumed, strict=True))
     assert not equal(unbroken[0], unbroken[3])
+
+
+def test_an_augmentation_is_given_the_epoch_and_the_examples_of_each_place(store: NativeStore) -> None:
+    """One that changes nothing leaves the stream as it is; one that moves to the next example moves all fields."""
+    data = DataConfig(val_fraction=0.0).build(store, "train", 0)
+
+    def unchanged(recorded: Recorded, epoch: int | Indices, indices: Indices) -> Batch:
+        return recorded(epoch, indices)
+
+    def following(recorded: Recorded, epoch: int | Indices, indices: Indices) -> Batch:
+        return recorded(epoch, (indices + 1) % len(data))
+
+    plain, same = (islice(one.batches(64), 12) for one in (data, AugmentedDataset(data, unchanged)))
+    assert all(equal(one, other) for one, other in zip(plain, same, strict=True))
+    moved, order = AugmentedDataset(data, following), data.epoch_indices(0)[:10]
+    assert equal(next(moved.batches(10)), data.batch(0, (order + 1) % len(data)))
+    assert equal(data.batch(0, order), next(data.batches(10)))  # what it was made of stays as it is
 
 
 def test_ranks_share_the_work_of_one(store: NativeStore) -> None:
@@ -355,7 +372,7 @@ def test_a_setting_out_of_range_is_named(store: NativeStore, change: dict[str, o
 
 
 def test_what_the_store_lacks_is_said_before_anything_is_read(store: NativeStore, tmp_path: Path) -> None:
-    with pytest.raises(StoreError, match=r"no images of side \(it has: front 8x10, wrist 6x6\).*playlearn render"):
+    with pytest.raises(UsageError, match=r"no images of side \(it has: front 8x10, wrist 6x6\).*playlearn render"):
         DataConfig(goal_cameras=("side",)).build(store, "train", 0)
     with pytest.raises(UsageError, match="train or heldout"):
         DataConfig().build(store, "test", 0)

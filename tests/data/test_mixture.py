@@ -15,7 +15,7 @@ from safetensors.torch import load_file
 from playlearn.batch import Batch
 from playlearn.config import from_dict
 from playlearn.data import DataConfig, PlayDataset
-from playlearn.data.mixture import DatasetMixture, DatasetSource, mix_datasets
+from playlearn.data.mixture import DatasetMixture, DatasetSource, build_sources, mix_datasets
 from playlearn.errors import CheckpointError, StoreError, UsageError
 from playlearn.policies import Policy
 from playlearn.relabeling import FinalConfig
@@ -90,16 +90,18 @@ def test_what_cannot_be_mixed_is_refused(stores: list[Path], tmp_path: Path) -> 
     first, second, own = parts(stores)
     with pytest.raises(UsageError, match="add up to 1"):
         DatasetMixture(own, [(first, 0.5), (second, 0.5)])
+    with pytest.raises(UsageError, match="add up to 1"):
+        build_sources(own, [DatasetSource(stores[0], 0.5), DatasetSource(stores[1], 0.5)], 0)
     for share in (0.0, 1.0, -0.2):
         with pytest.raises(UsageError, match="between 0 and 1"):
             DatasetSource(stores[0], share)
     with pytest.raises(StoreError, match="no store"):
-        mix_datasets(own, [DatasetSource(tmp_path / "nowhere", 0.5)], 0)
-    assert mix_datasets(own, [], 0) is own
+        build_sources(own, [DatasetSource(tmp_path / "nowhere", 0.5)], 0)
+    assert mix_datasets(own, []) is own
     make_store(tmp_path / "seen", np.random.default_rng(0), episodes=2, steps=20, cameras=("front",))
     seeing = replace(CONFIG, cameras=("front",)).build(open_store(tmp_path / "seen"), "train", 0)
     with pytest.raises(UsageError, match="another size of front"):
-        mix_datasets(seeing, [DatasetSource(stores[0], 0.5)], 0)
+        build_sources(seeing, [DatasetSource(stores[0], 0.5)], 0)
 
 
 @pytest.mark.slow
@@ -159,4 +161,4 @@ def test_what_does_not_fit_is_told_of_both(tmp_path: Path) -> None:
     own = PlayDataset(mine, DataConfig(val_fraction=0))
     words = r"another action_names \(it has grip; it lacks gripper\), fps \(10.0, not 20.0\) than"
     with pytest.raises(UsageError, match=words):
-        mix_datasets(own, [DatasetSource(tmp_path / "other", 0.5)], 0)
+        build_sources(own, [DatasetSource(tmp_path / "other", 0.5)], 0)
