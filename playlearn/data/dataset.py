@@ -32,22 +32,28 @@ from playlearn.store import Store
 class DataConfig:
     """How examples are cut from play.
 
-    goals: the goal sampler. settling: what a settled moment is. goal_names: shell-style patterns of the achieved
-        dimensions that a goal speaks of; what else changes settles nothing and is not balanced.
-    history: observations a policy sees (T).
-    chunk: actions it predicts (H). cameras, goal_cameras: what is looked through, now and for the goal.
-    val_fraction: of the episodes, never trained on (or, above 0, those that an import's own mask holds out).
-    mask_after_goal: actions past the goal teach nothing.
-    balance: 0 draws steps as they come; 1 draws each kind of change (which groups of the achieved goal
-        change next) equally often; between them, in proportion to count ** (1 - balance).
-    failures: the share that is kept of the examples whose attempt (see `relabel.failures`) is yet to fail: even a
-        failure shows how to get to somewhere. Always the same ones, however much play there is.
-    stray: a chunk ends with the first step at which what was executed strayed from its label by more
-        than this in some dimension (a mistake, a pause, a slip): the labels after it answer to another
-        world than the one that executing the labels would have led to.
-    labels: `actions`, what was done next; `change`, how the world will differ at the next settled moment, in place of
-        actions and as a chunk of 1: what a policy learns that proposes subgoals. detours: False: of changes only those
-        count after which fewer things differ from the goal; play wanders, and a proposer would wander with it.
+    goals: the goal sampler.
+    settling: when the achieved goal counts as settled.
+    goal_names: shell-style patterns of the achieved dimensions that a goal covers; what else changes is neither a
+        settled moment nor balanced. A run takes it from the policy's encoder.
+    history: observations that a policy reads, the present one included (T). A run takes it from the policy.
+    chunk: actions that a policy predicts (H). A run takes it from the policy.
+    cameras: whose images an observation holds. A run takes them from the policy's encoder.
+    goal_cameras: whose images a goal holds. A run takes them from the policy's encoder.
+    val_fraction: fraction of the episodes that is held out and never trained on; above 0, an import's own validation
+        split counts instead where there is one.
+    mask_after_goal: whether labels past the goal are masked.
+    balance: 0 draws each example once an epoch; 1 draws each kind of change (which objects change at the next settled
+        moment) equally often; between them, in proportion to count ** (1 - balance).
+    failure_fraction: fraction that is kept of the examples whose attempt (see `relabeling.failures`) is yet to fail:
+        even a failure shows how to get to somewhere. Always the same ones, however much play there is.
+    max_label_deviation: a chunk ends with the first step at which the executed action differs from its label by more
+        than this in some dimension (a mistake, a pause, a slip): later labels are conditioned on a state that the
+        labeled actions would not have led to, so they are masked.
+    target: `actions`, the recorded labels; `next_settled_delta`, the change of `achieved` up to the next settled
+        moment, as a chunk of 1: what a high-level policy learns, which proposes subgoals.
+    allow_detours: whether a change counts after which no fewer objects differ from the goal (`next_settled_delta`
+        only); play wanders, and so would a policy that learned every change.
     """
 
     goals: GoalSamplerConfig = field(default_factory=SettledConfig)
@@ -73,7 +79,7 @@ class DataConfig:
 class PlayDataset(Examples):
     """Every step of a store's play from which a goal can be drawn; safe to share between threads.
 
-    Numbers of few dimensions are held in memory; images stay in the store and are read as needed.
+    State, `achieved` and actions are held in memory; images stay in the store and are read as needed.
     """
 
     def __init__(self, store: Store, config: DataConfig, split: str = "train", seed: int = 0) -> None:
@@ -90,14 +96,14 @@ class PlayDataset(Examples):
         if len(self.episodes) == 0:
             raise StoreError(f"{store.name()} has no {split} episodes among its {len(store)}: collect more play")
         self.store, self.config, self.seed = store, config, seed
-        learned = np.flatnonzero(~out).tolist()  # by either split, so that both mean the same by a settled moment
-        self.table = RelabelIndex.of_store(store, config.settling, config.goal_names, self.episodes.tolist(), learned)
+        train = np.flatnonzero(~out).tolist()  # thresholds are measured on it for both splits, so that they agree
+        self.table = RelabelIndex.of_store(store, config.settling, config.goal_names, self.episodes.tolist(), train)
         if config.target == "next_settled_delta" and len(self.table.change) == 0:
             raise UsageError(
-                f"data.target: {store.name()} does not say what is achieved, or its settled moments are the robot's; "
+                f"data.target: {store.name()} records no `achieved`, or its settled moments are read from the robot: "
                 "there is no change to learn; leave target at actions"
             )
-        self._spoken = ObjectLayout(store.spec.achieved_names).select(config.goal_names)
+        self._goal_dimensions = ObjectLayout(store.spec.achieved_names).select(config.goal_names)
         self.achieved = np.concatenate([store.array(int(i), "achieved") for i in self.episodes])  # (sum T+1, G)
         self.state = np.concatenate([store.array(int(i), "observation.state") for i in self.episodes])
         self.action = np.concatenate([store.array(int(i), "expert_action") for i in self.episodes])  # (sum T, A)
@@ -131,7 +137,7 @@ class PlayDataset(Examples):
         return self._sampler.draw(self.table, self._episode[indices], self._t[indices], uniforms)
 
     def targets(self) -> Array:
-        """(m, A) all that is learned: the recorded labels, or the change ahead of each example."""
+        """(m, A) all targets: the recorded labels, or the change ahead of each example."""
         return self._change(self._episode, self._t) if self.config.target == "next_settled_delta" else self.action
 
     def epoch_indices(self, epoch: int) -> Indices:
@@ -145,7 +151,7 @@ class PlayDataset(Examples):
         return rng.permutation(np.minimum(drawn, len(self) - 1))
 
     def probability(self, indices: Indices) -> NDArray[np.float64]:
-        """(n,) how probably each example is drawn."""
+        """(n,) the probability with which each example is drawn."""
         if self._cumulative is None:
             return np.full(len(indices), 1 / len(self))
         return np.asarray(np.diff(self._cumulative, prepend=0.0)[indices], np.float64)
@@ -169,7 +175,7 @@ class PlayDataset(Examples):
         action, counts = self.action.take(targets, axis=0), ahead < limit[:, None]
         if config.target == "next_settled_delta":
             action, counts = self._change(episode, t)[:, None], self._counts(episode, t, goal_row)[:, None]
-        return Batch(  # `take` is up to 20 times as quick as brackets, where rows are short
+        return Batch(  # `take` is up to 20 times as fast as brackets where rows are short
             state=torch.from_numpy(self.state.take(rows, axis=0)),
             achieved=torch.from_numpy(self.achieved.take(rows, axis=0)),
             images={camera: self._frames(camera, episode, seen) for camera in config.cameras},
@@ -201,36 +207,36 @@ class PlayDataset(Examples):
         return change
 
     def _counts(self, episode: Indices, t: Indices, goal_row: Indices) -> NDArray[np.bool_]:
-        """(n,) whether the change ahead teaches anything, see `DataConfig.detours`."""
+        """(n,) whether the change ahead counts, see `DataConfig.allow_detours`."""
         if self.config.allow_detours:
             return np.ones(len(t), np.bool_)
         settled = self.table.moments[self.table.following(episode, t)]
         goal = self.achieved[goal_row]
         now, then = (
             self.table.groups_apart(
-                self.achieved[self.table.rows[episode] + at][:, self._spoken], goal[:, self._spoken]
+                self.achieved[self.table.rows[episode] + at][:, self._goal_dimensions], goal[:, self._goal_dimensions]
             )
             for at in (t, settled)
         )
         return np.asarray(then.sum(axis=1) < now.sum(axis=1))
 
     def _last_of_chunk(self, executed: Sequence[Array]) -> Indices:
-        """(sum T,) the last step t' >= t whose label still follows from executing the labels from t on."""
-        strayed = np.abs(np.concatenate(executed) - self.action).max(axis=1) > self.config.max_label_deviation
-        steps = np.arange(len(strayed))
-        first = np.minimum.accumulate(np.where(strayed, steps, len(strayed))[::-1])[::-1]  # flat, at or after each
+        """(sum T,) the last step t' >= t whose label is conditioned on what executing the labels from t on leads to."""
+        deviates = np.abs(np.concatenate(executed) - self.action).max(axis=1) > self.config.max_label_deviation
+        steps = np.arange(len(deviates))
+        first = np.minimum.accumulate(np.where(deviates, steps, len(deviates))[::-1])[::-1]  # flat, at or after each
         start = np.repeat(self.table.starts[:-1], self.table.lengths)
         return np.asarray(first - start, np.int64)  # may point past the episode, whose end counts then
 
     def _kept(self, t: Indices) -> NDArray[np.bool_]:
-        """(sum T,) all steps but the failing ones that `failures` leaves out."""
+        """(sum T,) all steps but the failing ones that `failure_fraction` leaves out."""
         if self.config.failure_fraction >= 1:
             return np.ones(len(t), np.bool_)
         episodes = self.episodes.tolist()
         failing = [leads_to_failure(self.store.array(i, "skill"), self.store.meta(i).skills) for i in episodes]
         recorded = np.repeat(self.store.indices()[self.episodes], self.table.lengths)
-        lucky = counter_uniforms(0, recorded, t, 1)[:, 0] < self.config.failure_fraction
-        return np.asarray(lucky | ~np.concatenate(failing))
+        drawn = counter_uniforms(0, recorded, t, 1)[:, 0] < self.config.failure_fraction
+        return np.asarray(drawn | ~np.concatenate(failing))
 
     def _weights(self) -> NDArray[np.float64]:
         """(n,) the running sum of the examples' probabilities under `balance`."""
@@ -246,15 +252,15 @@ class PlayDataset(Examples):
 
 def _check(config: DataConfig, split: str) -> None:
     if split not in ("train", "val"):
-        raise UsageError(f"split must be train or heldout, got {split!r}")
+        raise UsageError(f"split must be train or val, got {split!r}")
     for name, value in {"history": config.history, "chunk": config.chunk}.items():
         if value < 1:
             raise UsageError(f"data.{name} must be at least 1, got {value}")
     if config.target == "next_settled_delta" and config.chunk != 1:
         raise UsageError(f"data.target: a change is one label, so set policy.chunk to 1 (it is {config.chunk})")
     if not config.max_label_deviation > 0:
-        raise UsageError(f"data.stray must be above 0, got {config.max_label_deviation}")
+        raise UsageError(f"data.max_label_deviation must be above 0, got {config.max_label_deviation}")
     for name in ("val_fraction", "balance", "failure_fraction"):
-        share = getattr(config, name)
-        if not 0 <= share <= 1:
-            raise UsageError(f"data.{name} must lie between 0 and 1, got {share}")
+        fraction = getattr(config, name)
+        if not 0 <= fraction <= 1:
+            raise UsageError(f"data.{name} must lie between 0 and 1, got {fraction}")

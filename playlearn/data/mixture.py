@@ -1,4 +1,4 @@
-"""Several datasets in one stream of batches, each with its share; as pure a function of (seed, step) as each is."""
+"""Several datasets in one stream of batches, each with its fraction; a pure function of (seed, step)."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,9 +19,11 @@ from playlearn.store import Store, StoreConfig, open_store
 
 @dataclass(frozen=True)
 class DatasetSource:
-    """More play beside a run's own: what DAgger's rounds gathered, for one.
+    """More play beside a run's own, such as DAgger's rollouts.
 
-    share: of all examples shown. data: how examples are cut from it (null: as from the run's own play).
+    store: the play, as in TrainConfig.
+    fraction: of all examples.
+    data: how examples are cut from it (null: as from the run's own play).
     """
 
     store: Path | StoreConfig
@@ -29,9 +31,9 @@ class DatasetSource:
     data: DataConfig | None = None
 
     def __post_init__(self) -> None:
-        """Raises UsageError where the share leaves nothing to one side."""
+        """Raises UsageError where the fraction leaves nothing to one side."""
         if not 0 < self.fraction < 1:
-            raise UsageError(f"fraction must lie between 0 and 1, both left out, got {self.fraction:g}")
+            raise UsageError(f"fraction must lie between 0 and 1, both excluded, got {self.fraction:g}")
 
 
 def build_sources(own: PlayDataset, sources: Sequence[DatasetSource], seed: int) -> list[tuple[PlayDataset, float]]:
@@ -69,14 +71,14 @@ class Part(Protocol):
 
 
 class DatasetMixture:
-    """Datasets with shares, batches as `PlayDataset.batches` gives them.
+    """Datasets with fractions, in batches as `Examples.batches` gives them.
 
-    Places of the common stream are dealt out evenly, not drawn: of any n places in a row a part gets its share
-    to within one or two, and walks through its own epochs at its own pace.
+    Places of the common stream are dealt out evenly, not drawn: of any n places in a row a part gets its fraction to
+    within one or two. Each part goes through its own epochs at its own pace.
     """
 
     def __init__(self, own: Part, extra: Sequence[tuple[Part, float]]) -> None:
-        """own: gets what the shares of the others leave.
+        """own: gets what the fractions of the others leave.
 
         Raises:
             UsageError: they leave nothing.
@@ -118,7 +120,7 @@ def joined(batches: Sequence[Batch]) -> Batch:
         return {camera: torch.cat(filled([value.get(camera) for value in values])) for camera in cameras}
 
     def filled(parts: list[torch.Tensor | None]) -> list[torch.Tensor]:
-        """Keypoints that a part does not know are NaN."""
+        """Keypoints that a part lacks are NaN."""
         known = next(part for part in parts if part is not None)
         return [
             known.new_full((len(batch), *known.shape[1:]), torch.nan) if part is None else part
@@ -151,7 +153,7 @@ def _check_same(own: PlayDataset, other: Store) -> None:
 
 
 def _differ(mine: Any, its: Any) -> str:
-    """Of two lists of names what only one of them has; of anything else both."""
+    """Of two lists of names, what only one of them has; of anything else, both values."""
     if isinstance(mine, tuple) and isinstance(its, tuple) and set(mine) != set(its):
         sides = {"it has": [name for name in its if name not in mine], "it lacks": [n for n in mine if n not in its]}
         return "; ".join(f"{side} {', '.join(map(str, names))}" for side, names in sides.items() if names)

@@ -1,4 +1,4 @@
-"""What normalizes the numbers of play."""
+"""Mean and standard deviation of recorded play, for normalization."""
 
 import dataclasses
 
@@ -12,7 +12,7 @@ from playlearn.episode import Array
 def statistics(dataset: PlayDataset) -> dict[str, Statistics]:
     """Of `state`, `achieved` and `action` over every recorded row of the dataset's episodes.
 
-    A change is measured by the spread of what changes: its own would be next to nothing where change is rare.
+    A change has mean 0 and the standard deviation of `achieved`: its own would be near 0 where changes are rare.
     """
     made = {name: _statistics(getattr(dataset, name)) for name in ("state", "achieved", "action")}
     if dataset.config.target == "next_settled_delta":

@@ -374,7 +374,7 @@ def test_a_setting_out_of_range_is_named(store: NativeStore, change: dict[str, o
 def test_what_the_store_lacks_is_said_before_anything_is_read(store: NativeStore, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"no images of side \(it has: front 8x10, wrist 6x6\).*playlearn render"):
         DataConfig(goal_cameras=("side",)).build(store, "train", 0)
-    with pytest.raises(UsageError, match="train or heldout"):
+    with pytest.raises(UsageError, match="train or val"):
         DataConfig().build(store, "test", 0)
     with pytest.raises(StoreError, match="no val episodes"):
         DataConfig(val_fraction=0.0).build(store, "val", 0)
