@@ -9,7 +9,7 @@ from playlearn.layout import ObjectLayout
 
 
 class Named(Protocol):
-    """What an environment or a store says of its numbers."""
+    """The names and the rate of an environment or a store."""
 
     @property
     def state_names(self) -> tuple[str, ...]: ...
@@ -23,10 +23,16 @@ class Named(Protocol):
 
 @dataclass(frozen=True)
 class PolicySpec:
-    """The world a policy was made for: what each index means, fps, camera -> (height, width) in pixels.
+    """The environment a policy was made for.
 
-    predicts: actions, or the change of `achieved` that comes next (whose names are then `action_names`).
-    bounded: actions lie in [-1, 1], as our worlds take them; others' data may have them in units of their own.
+    state_names: what each dimension of `state` is.
+    achieved_names: what each dimension of `achieved` is (see ObjectLayout).
+    action_names: what each dimension of `action` is.
+    fps: steps a second.
+    cameras: camera -> (height, width) in pixels.
+    controller: the controller's settings.
+    predicts: actions, or the change of `achieved` up to the next settled moment (`action_names` are then its names).
+    bounded: whether actions lie in [-1, 1], as playlearn's environments take them; other data may have its own units.
     """
 
     state_names: tuple[str, ...]
@@ -40,19 +46,19 @@ class PolicySpec:
 
     @property
     def clipped(self) -> bool:
-        """What is predicted has to lie in [-1, 1]."""
+        """Whether predictions must lie in [-1, 1]."""
         return self.predicts == "actions" and self.bounded
 
     def check(self, other: Named, cameras: Mapping[str, tuple[int, int]], needed: tuple[str, ...]) -> None:
-        """Refuse a world whose numbers mean something else.
+        """Refuse an environment whose dimensions mean something else.
 
         needed: the cameras the policy reads; only these are compared.
 
         Raises:
             CheckpointError: names, fps or a needed camera differ; the message says which.
         """
-        what_acts = ("action_names",) if self.predicts == "actions" else ()
-        for what in ("state_names", "achieved_names", *what_acts):
+        acting = ("action_names",) if self.predicts == "actions" else ()
+        for what in ("state_names", "achieved_names", *acting):
             mine, theirs = tuple(getattr(self, what)), tuple(getattr(other, what))
             if mine != theirs:
                 raise CheckpointError(_difference(what.removesuffix("_names"), mine, theirs))
@@ -62,9 +68,7 @@ class PolicySpec:
             )
         for camera in needed:
             if camera not in cameras:
-                raise CheckpointError(
-                    f"the policy looks through camera {camera!r}, which is not there: {_names(cameras)}"
-                )
+                raise CheckpointError(f"the policy needs camera {camera!r}, which is not there: {_names(cameras)}")
             if tuple(cameras[camera]) != tuple(self.cameras[camera]):
                 raise CheckpointError(
                     f"camera {camera!r} is {tuple(cameras[camera])} pixels here, the policy was trained on "

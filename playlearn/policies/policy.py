@@ -24,21 +24,27 @@ from playlearn.policies.trunks import TransformerConfig, TrunkConfig
 WEIGHTS, DESCRIPTION = "policy.safetensors", "policy.json"
 FORMAT = 1
 _NOTHING = torch.empty(0)
-_UNTOLD = "this policy cannot tell where things are: train it from images with encoder.state_supervision above 0"
+_NO_ESTIMATES = "this policy makes no pose estimates: train it from images with encoder.state_supervision above 0"
 
 
 @dataclass(frozen=True)
 class PolicyConfig:
-    """history: observations it sees, the present one included. chunk: H, actions predicted at once.
+    """A policy: encoder, trunk and head.
 
-    goal_dropout: share of training examples whose goal is withheld, which makes guidance possible.
-    history_dropout: share whose past observations are hidden, all but the present one; proprio_dropout: share
-    whose robot state is withheld (the mean of the data is shown). Both against copying: a policy that can
-    tell its next action from its last ones, or from how the arm moves, need not look at the goal
-    (de Haan et al. 2019).
+    encoder: turns observations and goal into tokens.
+    trunk: the sequence model over the tokens.
+    head: the distribution over action chunks.
+    history: observations it reads, the present one included (T).
+    chunk: actions predicted at once (H).
+    goal_dropout: fraction of training examples without a goal, which makes guidance possible.
+    history_dropout: fraction of training examples whose past observations are masked, all but the present one.
+    proprio_dropout: fraction of training examples whose robot state is replaced by the mean of the data.
+
+    The last two are against copycat policies: one that can infer its next action from its last ones, or from how the
+    arm moves, need not look at the goal (de Haan et al. 2019).
 
     Raises:
-        UsageError: a share does not lie between 0 and 1.
+        UsageError: a fraction does not lie between 0 and 1.
     """
 
     encoder: EncoderConfig = field(default_factory=StateConfig)
@@ -53,14 +59,15 @@ class PolicyConfig:
     def __post_init__(self) -> None:
         for name in ("goal_dropout", "history_dropout", "proprio_dropout"):
             if not 0 <= getattr(self, name) <= 1:
-                raise UsageError(f"policy.{name} is a share of the examples, 0 to 1: got {getattr(self, name)}")
+                raise UsageError(f"policy.{name} is a fraction of the examples, 0 to 1: got {getattr(self, name)}")
 
     def build(
         self, spec: PolicySpec, statistics: Mapping[str, Statistics] | None, seed: int, *, fetch: bool = True
     ) -> "Policy":
-        """A fresh policy; the seed decides its weights, and global random state is left as it was.
+        """A fresh policy; the seed decides its weights, and the global random state stays as it is.
 
         statistics: of `state`, `achieved` and `action`; None for a policy whose weights are loaded next.
+        fetch: whether weights may be downloaded, if the config asks for any.
 
         Raises:
             UsageError: the config asks for a camera or goal dimension that `spec` does not have.
@@ -75,7 +82,7 @@ class PolicyConfig:
 
 
 class Policy(nn.Module):
-    """Goal-conditioned chunks of actions. Built by `PolicyConfig.build` or `Policy.load`."""
+    """Goal-conditioned action chunks. Built by `PolicyConfig.build` or `Policy.load`."""
 
     def __init__(
         self, config: PolicyConfig, spec: PolicySpec, statistics: Mapping[str, Statistics] | None, *, fetch: bool
@@ -91,9 +98,9 @@ class Policy(nn.Module):
             self.normalizer = Normalizer.identity(widths)
         else:
             names = {"state": spec.state_names, "achieved": spec.achieved_names}
-            # one that is hardly used must not count as much as the others; of what changes, all counts alike
-            share = {} if spec.clipped else {"action_share": 0.0}
-            self.normalizer = Normalizer(pooled(statistics, names), **share)
+            # an action that hardly varies must not weigh as much as the others; of a change, all weigh the same
+            least = {} if spec.clipped else {"min_action_std": 0.0}
+            self.normalizer = Normalizer(pooled(statistics, names), **least)
         width = config.trunk.width
         self.encoder = config.encoder.build(spec, width, fetch=fetch)
         self.trunk = config.trunk.build(self.encoder.goal_tokens + config.history * self.encoder.step_tokens)
@@ -101,7 +108,7 @@ class Policy(nn.Module):
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        """The cameras it must see, those of the goal included."""
+        """The cameras it needs, those of the goal included."""
         encoder = self.config.encoder
         return tuple(dict.fromkeys((*encoder.observation_cameras, *encoder.goal_cameras)))
 
@@ -110,35 +117,39 @@ class Policy(nn.Module):
         return next(self.parameters()).device
 
     def fit_action_statistics(self, actions: Tensor) -> None:
-        """Let the head look at the training data's actions (n, A), before the first update."""
+        """Fit what the head needs to know of the training data's actions (n, A), before the first update."""
         self.head.fit_action_statistics(self.normalizer.normalize("action", actions).unsqueeze(1))
 
     def load_from(self, other: "Policy", source: Path) -> None:
-        """Take over all of another policy, which may differ in its encoder alone; source: its run.
+        """Load all parameters of another policy, which may differ in its encoder alone; source: its run.
 
         Raises:
-            UsageError: it differs in more, or something of its encoder has no place here.
+            UsageError: it differs in more, or a parameter of its encoder does not exist here.
         """
         own, given = self.state_dict(), other.state_dict()
-        apart = {entry.name for entry in fields(PolicyConfig) if entry.name != "encoder"}
-        apart = {name for name in apart if getattr(self.config, name) != getattr(other.config, name)}
-        placed = all(own.get(name, _NOTHING).shape == value.shape for name, value in given.items())
-        if not placed or self.config.encoder.goal_names != other.config.encoder.goal_names:
-            apart.add("encoder")
+        differ = {entry.name for entry in fields(PolicyConfig) if entry.name != "encoder"}
+        differ = {name for name in differ if getattr(self.config, name) != getattr(other.config, name)}
+        fits = all(own.get(name, _NOTHING).shape == value.shape for name, value in given.items())
+        if not fits or self.config.encoder.goal_names != other.config.encoder.goal_names:
+            differ.add("encoder")
         if self.spec.predicts != other.spec.predicts:
-            apart.add("sort of labels")
-        if apart:
+            differ.add("target")
+        if differ:
             raise UsageError(
-                f"init: the policy of {source} has another {' and '.join(sorted(apart))}: give its own `policy` block; "
-                "eyes for a policy of states need its `hidden`, and use_estimated_state: true"
+                f"init_from: the policy of {source} has another {' and '.join(sorted(differ))}: copy the `policy` "
+                "block of that run; to start an image policy from a state policy, match encoder.hidden and set "
+                "use_estimated_state: true"
             )
         self.load_state_dict(own | given)
 
     def behind(self, seeing: "Policy", source: Path) -> "Policy":
-        """A state policy, this one, behind the image encoder of another one, whose run is `source`, ready to act.
+        """A copy of this state policy behind the image encoder of another policy, ready to act.
+
+        seeing: the policy with the image encoder.
+        source: its run.
 
         Raises:
-            UsageError: the two do not fit together, or their numbers are scaled differently.
+            UsageError: the two do not fit together, or are normalized differently.
         """
         joined = seeing.config.build(seeing.spec, None, seed=0, fetch=False)
         joined.load_state_dict(seeing.state_dict())
@@ -149,16 +160,16 @@ class Policy(nn.Module):
         return joined.to(self.device).eval()
 
     def freeze_except(self, patterns: Sequence[str]) -> list[nn.Parameter]:
-        """The parameters that some shell-style pattern names; all others are frozen.
+        """The parameters that match some shell-style pattern; all others are frozen.
 
         Raises:
-            UsageError: a pattern names none.
+            UsageError: a pattern matches none.
         """
         named = dict(self.named_parameters())
         for pattern in patterns:
             if not fnmatch.filter(named, pattern):
                 there = sorted({".".join(name.split(".")[:2]) + ".*" for name in named})
-                raise UsageError(f"learn: {pattern!r} names no parameter; there are {', '.join(there)}")
+                raise UsageError(f"trainable: {pattern!r} matches no parameter; there are {', '.join(there)}")
         for name, parameter in named.items():
             if not any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns):
                 parameter.requires_grad_(False)
@@ -168,28 +179,28 @@ class Policy(nn.Module):
         """Scalar training loss and its parts; all randomness (dropout, augmentation, noise) from `generator`."""
         config, normal = self.config, self._normalized(batch)
         if not self.acting_learns:
-            # no gradient of the head's loss would reach anything: only what is learned beside it is computed
+            # the head's loss has no gradient that any trained parameter receives: only auxiliary losses are computed
             normal = _with_keypoints(normal, batch)
             return _summed(self.encoder.auxiliary(self.encoder.perceive(normal, generator), normal))
         keep = self._kept(config.goal_dropout, batch, generator)
-        # at 0 nothing is drawn, so that what is drawn next does not depend on an option that is not used
+        # at 0 nothing is drawn, so that an option that is off leaves later draws as they are
         if config.history_dropout > 0:
             past = normal.history_mask.clone()
             past[:, :-1] &= self._kept(config.history_dropout, batch, generator)[:, None]
             normal = replace(normal, history_mask=past)
         if config.proprio_dropout > 0:
-            felt = self._kept(config.proprio_dropout, batch, generator)
-            normal = replace(normal, state=normal.state * felt[:, None, None])
+            kept = self._kept(config.proprio_dropout, batch, generator)
+            normal = replace(normal, state=normal.state * kept[:, None, None])
         return self._loss(batch, normal, keep, generator, augment=generator)
 
     @property
     def acting_learns(self) -> bool:
-        """Whether some parameter that the head's loss teaches is trained; the image encoder alone may be."""
-        taught = chain(self.encoder.token_parameters(), self.trunk.parameters(), self.head.parameters())
-        return any(parameter.requires_grad for parameter in taught)
+        """Whether the head's loss trains any parameter; it does not where only the image encoder is trained."""
+        parameters = chain(self.encoder.token_parameters(), self.trunk.parameters(), self.head.parameters())
+        return any(parameter.requires_grad for parameter in parameters)
 
     def loss(self, batch: Batch, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
-        """The same with nothing withheld and no augmentation: what held-out play is judged by."""
+        """The same without dropout and augmentation: the validation loss."""
         normal = self._normalized(batch)
         if not self.acting_learns:
             normal = _with_keypoints(normal, batch)
@@ -203,9 +214,10 @@ class Policy(nn.Module):
     ) -> Tensor:
         """(B, H, A) float32 on the CPU, in units of the environment; actions clipped to [-1, 1].
 
-        inputs: on any device. generator: one, or one a row, which makes a row independent of the others.
-        guidance: weight of the goal, None for the plain prediction (a weight of 1). mode: the head's mode
-        rather than a sample.
+        inputs: on any device.
+        generator: one, or one a row, which makes a row independent of the others.
+        guidance: weight of the goal, None for the plain prediction (a weight of 1).
+        mode: the head's mode rather than a sample.
         """
         normal = self._normalized(inputs)
         batch, weight = len(normal.state), 1.0 if guidance is None else guidance
@@ -220,29 +232,29 @@ class Policy(nn.Module):
 
     @torch.inference_mode()
     def estimate_achieved(self, inputs: Inputs) -> Tensor:
-        """(B, G) float32 on the CPU: what is achieved now, read from its images where it looks through cameras.
+        """(B, G) float32 on the CPU: what is achieved now, estimated from images where the policy reads images.
 
         Raises:
-            UsageError: it looks through cameras and was not taught to tell (`encoder.state_supervision`).
+            UsageError: it reads images and makes no estimates (see `encoder.state_supervision`).
         """
         if not self.config.encoder.observation_cameras:
             return inputs.achieved[:, -1].float().cpu()
         keep = torch.zeros(len(inputs.state), dtype=torch.bool, device=self.device)
         observed = self.encoder(self._normalized(inputs), keep, None).observed
         if observed is None:
-            raise UsageError(_UNTOLD)
+            raise UsageError(_NO_ESTIMATES)
         return self.normalizer.restore("achieved", observed[:, -1]).float().cpu()
 
     @torch.inference_mode()
     def perceived(self, inputs: Inputs) -> tuple[Tensor, Tensor]:
-        """(B, T, G) and (B, G) float32 on the CPU: what is achieved, and in the goal, as its images tell.
+        """(B, T, G) and (B, G) float32 on the CPU: what is achieved, and in the goal, estimated from images.
 
         Raises:
-            UsageError: it was not taught to tell either from images (`encoder.state_supervision`).
+            UsageError: it does not estimate both from images (see `encoder.state_supervision`).
         """
         tokens = self.encoder.perceive(self._normalized(inputs))
         if tokens.observed is None or tokens.wanted is None or "image" not in self.config.encoder.goals:
-            raise UsageError(_UNTOLD)
+            raise UsageError(_NO_ESTIMATES)
         restore = self.normalizer.restore
         return restore("achieved", tokens.observed).float().cpu(), restore("achieved", tokens.wanted).float().cpu()
 
@@ -286,7 +298,7 @@ class Policy(nn.Module):
         return policy.to(device).eval()
 
     def _kept(self, dropout: float, batch: Batch, generator: torch.Generator) -> Tensor:
-        """(B,) bool, False for a share of `dropout`."""
+        """(B,) bool, False for a fraction of `dropout`."""
         draws = torch.rand(len(batch.state), generator=generator, device=generator.device)
         return (draws >= dropout).to(self.device)
 
@@ -317,7 +329,7 @@ class Policy(nn.Module):
         return self.trunk(tokens, mask), self.encoder.auxiliary(encoded, inputs)
 
     def _normalized(self, inputs: Inputs) -> Inputs:
-        """On this policy's device, numbers normalized, only the cameras it reads."""
+        """On this policy's device, normalized, only the cameras it reads."""
         encoder, device, normalize = self.config.encoder, self.device, self.normalizer.normalize
         return Inputs(
             state=normalize("state", inputs.state.to(device)),
@@ -339,7 +351,7 @@ def _with_keypoints(normal: Inputs, batch: Batch) -> Inputs:
 
 
 def _summed(losses: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
-    """Their sum, and each by its name."""
+    """Their sum, and each by name."""
     return sum(losses.values(), torch.zeros(())), {name: value.detach() for name, value in losses.items()}
 
 

@@ -147,7 +147,7 @@ def test_what_cannot_be_perceived_is_refused(folder: Path, tmp_path: Path) -> No
     store = NativeStore.open(folder / "play")
     with pytest.raises(CheckpointError, match="no run at"):
         make_perceived(PerceivedConfig(tmp_path / "none"), store, tmp_path / "a", workers=0)
-    with pytest.raises(UsageError, match="cannot tell where things are"):
+    with pytest.raises(UsageError, match="makes no pose estimates"):
         make_perceived(PerceivedConfig(folder / "state"), store, tmp_path / "b", workers=0)
     told = {"encoder": str(folder / "encoder")}
     with pytest.raises(UsageError, match="looks at images itself"):

@@ -75,5 +75,5 @@ def test_what_is_not_withheld_changes_no_draw() -> None:
 
 
 def test_a_share_beyond_one_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"history_dropout is a share.*got 1\.5"):
+    with pytest.raises(UsageError, match=r"history_dropout is a fraction.*got 1\.5"):
         PolicyConfig(history_dropout=1.5)

@@ -276,10 +276,10 @@ def test_weights_are_used_kept_frozen_and_never_asked_for_again(fusion: str, tmp
     ("options", "message"),
     [
         ({"name": "resnt", "options": {}}, "encoder.name 'resnt'"),
-        ({"name": "bert", "options": {}, "fusion": "late"}, "'bert' does not see a 16x16 image"),
+        ({"name": "bert", "options": {}, "fusion": "late"}, "'bert' does not read a 16x16 image"),
         ({"name": "vit", "options": {"depth": 3}}, "the config of vit has no field 'depth'"),
         ({"frozen": True}, "frozen needs encoder.weights"),
-        ({"weights": "nowhere/at-all"}, "'nowhere/at-all' cannot be had.*set encoder.weights to null"),
+        ({"weights": "nowhere/at-all"}, "'nowhere/at-all' cannot be loaded.*set encoder.weights to null"),
     ],
 )
 def test_a_vision_model_that_cannot_be_says_why(

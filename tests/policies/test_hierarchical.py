@@ -168,5 +168,5 @@ def test_what_is_believed_is_seen_where_there_are_cameras() -> None:
         normal = reader.encoder(reader._normalized(told), keep).observed
     assert normal is not None
     torch.testing.assert_close(reader.normalizer.normalize("achieved", estimate_achieved), normal[:, -1])
-    with pytest.raises(UsageError, match="cannot tell where things are"):
+    with pytest.raises(UsageError, match="makes no pose estimates"):
         policy("cnn", encoder_options={**looking, "state_supervision": 0.0}).estimate_achieved(told)

@@ -1,4 +1,4 @@
-"""A goal that is a state, as one vector: for encoders that look at the world through cameras."""
+"""A goal state as one vector, for image encoders."""
 
 import torch
 from torch import Tensor, nn
@@ -8,7 +8,7 @@ from playlearn.policies.inputs import PolicySpec
 
 
 class GoalStateEncoder(nn.Module):
-    """(B, G) normalized achieved of a goal -> (B, D), of the parts alone that goals speak of."""
+    """(B, G) normalized achieved of a goal -> (B, D), of the dimensions that goals cover."""
 
     def __init__(self, spec: PolicySpec, goal_names: tuple[str, ...], hidden: int, width: int) -> None:
         super().__init__()

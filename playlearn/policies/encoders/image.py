@@ -1,4 +1,4 @@
-"""What encoders of one vector a camera share: fusion of observation and goal, privileged supervision."""
+"""What image encoders with one vector a camera share: fusion of observation and goal, state supervision."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -22,12 +22,12 @@ class ImageConfig(CamerasConfig):
 
     fusion: `early` stacks observation and goal along the channels; `late` runs one network over each.
     features: width of a camera's feature vector.
-    state_supervision: weight of a loss by which images must also tell `achieved`, in training only (privileged).
-    use_estimated_state: hand the estimated achieved of observation and goal and
-    their difference to the policy, as the state encoder does with the true ones; a goal that is a state needs no
-    estimate. feed_cameras: the cameras whose features the policy sees beside them (null: all).
-    detach_estimate: the policy's own loss does not shape the estimates. linear_estimate: they are a linear map of the
-    features beside the small network's.
+    state_supervision: weight of a loss that predicts `achieved` from images, in training only (privileged).
+    use_estimated_state: whether the policy reads the estimated achieved of observation and goal and their difference,
+        as the state encoder reads the true ones; a goal state needs no estimate.
+    feed_cameras: the cameras whose features the policy reads beside them (null: all).
+    detach_estimate: whether the estimates get no gradient from the policy's own loss.
+    linear_estimate: whether a linear map of the features is added to the small network of the estimates.
     """
 
     fusion: Literal["early", "late"] = "early"
@@ -66,10 +66,10 @@ class ImageConfig(CamerasConfig):
 class ImageEncoder(Encoder):
     """A goal token, then for each step one token a camera and one for the robot's own state.
 
-    The goal token says whether there is a goal, and what it is where it is a state or fused late.
+    The goal token encodes whether there is a goal, and the goal itself where it is a state or fused late.
 
-    With `use_estimated_state` there is also a token an object, made from the estimated achieved of observation
-    and goal. The true `achieved` is never read outside `auxiliary`.
+    With `use_estimated_state` there is also a token an object, from the estimated achieved of observation and goal. The
+    true `achieved` is read in `auxiliary` alone.
     """
 
     def __init__(self, config: ImageConfig, spec: PolicySpec, width: int, *, fetch: bool) -> None:
@@ -87,7 +87,7 @@ class ImageEncoder(Encoder):
         self.project = nn.ModuleDict({camera: nn.Linear(features, width) for camera in fed})
         goal_fed = config.goal_camera in fed and not self.fused and "image" in config.goals
         self.project_goal = nn.Linear(features, width) if goal_fed else None
-        # without a goal, with one, and where there are two sorts with one that is a state
+        # without a goal, with one, and where a goal may be either, with a goal state
         self.goal_flag = nn.Parameter(torch.randn(1 + len(config.goals), width) * 0.02)
         self.goal_tokens, self.step_tokens = 1, len(fed) + 1
 
@@ -109,8 +109,8 @@ class ImageEncoder(Encoder):
         seen = self._see(inputs, keep & pictured, generator)
         step_tokens = [project(seen.cameras[camera]).unsqueeze(2) for camera, project in self.project.items()]
 
-        sort = keep.long() if len(config.goals) == 1 else keep * (2 - pictured.long())
-        goal_token = self.goal_flag[sort]  # (B, D)
+        flag = keep.long() if len(config.goals) == 1 else keep * (2 - pictured.long())
+        goal_token = self.goal_flag[flag]  # (B, D)
         if self.project_goal is not None and seen.goal is not None:
             goal_token = goal_token + torch.where((keep & pictured)[:, None], self.project_goal(seen.goal), 0.0)
         if self.told is not None:
@@ -146,13 +146,13 @@ class ImageEncoder(Encoder):
     def auxiliary(self, tokens: Tokens, inputs: Inputs) -> dict[str, Tensor]:
         if tokens.observed is None or tokens.wanted is None:
             return {}
-        # a small beta: nearly an absolute error, so that the last centimeter still counts
+        # a small beta: nearly an absolute error, so that errors below a centimeter still count
         loss = nn.functional.smooth_l1_loss(tokens.observed, inputs.achieved, beta=0.1)
         loss = loss + nn.functional.smooth_l1_loss(tokens.wanted, inputs.goal_achieved, beta=0.1)
         return {"achieved": self.config.state_supervision * loss}
 
     def _estimated(self, inputs: Inputs, seen: "_Seen", pictured: Tensor) -> tuple[Tensor | None, Tensor | None]:
-        """(B, T, G) and (B, G), normalized: where things are, and where they are in the goal; None where not taught."""
+        """(B, T, G) and (B, G), normalized estimates of observation and goal; None where there are none."""
         if self.estimate is None:
             return None, None
         observed = self.estimate(seen.cameras, inputs.state)
@@ -162,7 +162,10 @@ class ImageEncoder(Encoder):
         return observed, goal
 
     def _see(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None) -> "_Seen":
-        """keep: (B,) bool, whose goal image may be seen. Fused early, the last step's features tell both."""
+        """The features of all images; fused early, the last step's are also the goal's.
+
+        keep: (B,) bool, False where the goal image is dropped.
+        """
         config, (batch, steps) = self.config, inputs.state.shape[:2]
         heatmaps: dict[str, Tensor] = {}
         goal_heatmaps: dict[str, Tensor] = {}
@@ -185,9 +188,9 @@ class ImageEncoder(Encoder):
         return _Seen(cameras, goal, heatmaps, goal_heatmaps)
 
     def _front_frames(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None) -> Tensor:
-        """(B, T, C, h, w) what the network of the goal's camera looks at: fused with the goal, or that is one more.
+        """(B, T, C, h, w) inputs of the backbone of the goal's camera: fused with the goal, or that is one more step.
 
-        A goal that is the observation itself, as a drawn scene's is, is looked at once.
+        A goal that is the observation itself, as a drawn scene's is, is encoded once.
         """
         config, (batch, steps) = self.config, inputs.state.shape[:2]
         shown = inputs.images[config.goal_camera]  # (B, T, h, w, 3)
@@ -204,8 +207,8 @@ class ImageEncoder(Encoder):
         shown, wanted = both.split([steps, 1], 1)
         stacked = torch.cat([shown, wanted.expand(-1, steps, -1, -1, -1)], dim=-1)  # (B, T, h, w, 6)
         scaled = pixels(stacked.flatten(0, 1))  # (B T, 6, h, w)
-        withheld = ~keep.repeat_interleave(steps)
-        scaled[:, 3:].masked_fill_(withheld[:, None, None, None], 0.0)  # mid-gray
+        dropped = ~keep.repeat_interleave(steps)
+        scaled[:, 3:].masked_fill_(dropped[:, None, None, None], 0.0)  # mid-gray
         return self._rows(scaled, batch)
 
     @staticmethod
@@ -221,7 +224,13 @@ def _is_own_goal(inputs: Inputs, camera: str) -> bool:
 
 
 class _Seen(NamedTuple):
-    """Features: camera -> (B, T, F) of the observation, (B, F) of the goal image, if there is one; see `Tokens`."""
+    """What the backbones return.
+
+    cameras: camera -> (B, T, F) features of the observation.
+    goal: (B, F) features of the goal image, if there is one.
+    heatmaps: see `Tokens`.
+    goal_heatmaps: see `Tokens`.
+    """
 
     cameras: dict[str, Tensor]
     goal: Tensor | None
@@ -230,14 +239,14 @@ class _Seen(NamedTuple):
 
 
 class _Estimate(nn.Module):
-    """Normalized achieved of the observation from all cameras and the state, of the goal (wanted) from its image."""
+    """Estimates of the normalized achieved: from all cameras and the robot's state; of the goal, from its image."""
 
     def __init__(self, config: ImageConfig, achieved: int, state: int) -> None:
         super().__init__()
         seen, net = config.features * len(config.cameras) + state, _Read if config.linear_estimate else mlp
         self.observed = net(seen, config.hidden, achieved)
         self.wanted = net(config.features, config.hidden, achieved)
-        # fused late, one network looks at both images, so one head may learn from both
+        # fused late, one backbone encodes both images, so one head may learn from both
         self.shared = config.fusion == "late" or config.goal == "state"
         self.camera = config.goal_camera
 
@@ -247,7 +256,7 @@ class _Estimate(nn.Module):
 
 
 class _Read(nn.Module):
-    """A linear map, and a small network for what is not linear."""
+    """A linear map and a small network, summed."""
 
     def __init__(self, inputs: int, hidden: int, out: int) -> None:
         super().__init__()

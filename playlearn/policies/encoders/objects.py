@@ -1,12 +1,11 @@
-"""Tokens of things: one for each object that a goal speaks of, one for the robot.
+"""Object tokens: one for each object of `achieved`, one for the robot.
 
-A play store of an hour holds some hundred moves of each block. A network that reads all numbers as one
-vector learns those by heart; one that sees every object through the same weights, placed relative to
-the hand and to its own goal, sees them all as moves of one object, and which one it is comes by attention.
+A play store of an hour holds some hundred moves of each block. A network that reads all dimensions as one vector
+overfits to those. One with shared weights for all objects, which reads positions relative to the gripper and to the
+goal, learns from all of them as moves of one object; attention selects which one.
 
-Objects are read off the names: `red.x` is part `x` of object `red`. Objects with the same parts are of
-one kind and share weights. Where the robot's state has a part of the same name (`eef.x`), an object's
-place relative to the robot is told too.
+Objects come from the names (see ObjectLayout). Objects with the same parts are of one kind and share weights. Where the
+robot's state has a part of the same name (`eef.x`), the token also holds the object's position relative to the robot.
 """
 
 import torch
@@ -15,11 +14,16 @@ from torch import Tensor, nn
 from playlearn.layout import ObjectLayout
 from playlearn.policies.inputs import PolicySpec
 
-NEAR = 4.0  # what is told finely: a difference of a quarter of the data's spread fills tanh
+NEAR = 4.0  # for fine differences: a quarter of the data's std saturates tanh
 
 
 class ObjectTokens(nn.Module):
-    """See the module's docstring. count: M, the objects and, last, the robot. arm: a goal speaks of the robot too."""
+    """See the module's docstring.
+
+    goal_names: patterns of the dimensions that a goal covers.
+    arm: whether a goal also holds the robot's state.
+    count: M, the objects and, last, the robot.
+    """
 
     def __init__(
         self, spec: PolicySpec, goal_names: tuple[str, ...], hidden: int, width: int, *, arm: bool = False
@@ -42,7 +46,7 @@ class ObjectTokens(nn.Module):
     def forward(
         self, state: Tensor, achieved: Tensor, goal: Tensor, keep: Tensor, goal_proprio: Tensor | None = None
     ) -> Tensor:
-        """(B, T, S), (B, T, G), (B, G), (B,) bool, False where the goal is withheld, and (B, S) to (B, T, M, D)."""
+        """(B, T, S), (B, T, G), (B, G), (B,) bool, False where the goal is dropped, and (B, S) to (B, T, M, D)."""
         tokens = [kind(state, achieved, goal, keep) for kind in self.kinds]
         body = state
         if self.arm and goal_proprio is not None:
@@ -81,9 +85,9 @@ class _Kind(nn.Module):
         left = (goal[:, None, members] - now) * shown
         place = state[..., self.get_buffer("place")].unsqueeze(2)  # (B, T, 1, R)
         away = now[..., self.get_buffer("part")] - place  # (B, T, n, R)
-        told = keep[:, None, None, None].to(now.dtype).expand(*now.shape[:-1], 1)
+        given = keep[:, None, None, None].to(now.dtype).expand(*now.shape[:-1], 1)
         fine = [torch.tanh(NEAR * left), torch.tanh(NEAR * away)]
-        tokens: Tensor = self.net(torch.cat([now, left, away, *fine, told], dim=-1))
+        tokens: Tensor = self.net(torch.cat([now, left, away, *fine, given], dim=-1))
         return tokens + self.name  # (B, T, n, D)
 
 

@@ -1,4 +1,4 @@
-"""Tokens from numbers: the robot's state, what is achieved, and how far that is from the goal."""
+"""Tokens from the robot's state, from `achieved`, and from the difference to the goal."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,11 @@ from playlearn.policies.inputs import PolicySpec
 @EncoderConfig.register_subclass("state")
 @dataclass(frozen=True)
 class StateConfig(EncoderConfig):
-    """hidden: units of the two-layer networks that make a token. goal_arm: a goal also says where the arm is."""
+    """One token an object, one for the robot.
+
+    hidden: units of the two-layer networks that make a token.
+    goal_proprio: whether a goal also holds the robot's own state.
+    """
 
     hidden: int = 256
     goal_proprio: bool = False
@@ -32,7 +36,7 @@ class StateConfig(EncoderConfig):
 
 
 class StateEncoder(Encoder):
-    """One goal token, which says whether there is one; each step a token an object and one for the robot."""
+    """One goal token, for whether there is a goal; for each step one token an object and one for the robot."""
 
     goal_tokens = 1
 
