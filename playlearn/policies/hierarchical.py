@@ -3,8 +3,8 @@
 The high-level policy is a policy like any other, trained with `data.target: next_settled_delta` on goals several
 settled moments ahead: from the distant goal and the observations it predicts the change of `achieved` up to the next
 settled moment. Its head samples, since the order of changes is often a free choice. After HIQL (Park et al. 2023),
-whose high-level policy proposes the state in k steps; the next settled moment is a more natural subgoal, and it stays as
-it is until it is reached.
+whose high-level policy proposes the state in k steps; the next settled moment is a more natural subgoal, and it stays
+as it is until it is reached.
 
 Proposals are off by 1 to 2 cm, so an object is snapped to its current or goal pose when the proposal lies within
 `NEAR` of it. Where a proposal is reached already, the low-level policy gets the distant goal itself for one plan.
