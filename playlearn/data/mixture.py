@@ -39,7 +39,7 @@ class DatasetSource:
 def build_sources(own: PlayDataset, sources: Sequence[DatasetSource], seed: int) -> list[tuple[PlayDataset, float]]:
     """The training split of each further store, with its fraction of all examples.
 
-    own: the run's own play; says how examples are cut where a source does not.
+    own: the run's own play; its config is that of a source without one.
 
     Raises:
         UsageError: the fractions leave nothing to `own`; a store's numbers or images mean something else.
@@ -55,7 +55,7 @@ def build_sources(own: PlayDataset, sources: Sequence[DatasetSource], seed: int)
 
 
 def mix_datasets[P: "Part"](own: P, extra: Sequence[tuple["Part", float]]) -> "P | DatasetMixture":
-    """What a run is shown: its own play alone, or mixed with further examples, each with its fraction.
+    """The examples of a run: its own play, or a mixture with further examples, each with its fraction.
 
     Raises:
         UsageError: the fractions leave nothing to `own`.
@@ -64,7 +64,7 @@ def mix_datasets[P: "Part"](own: P, extra: Sequence[tuple["Part", float]]) -> "P
 
 
 class Part(Protocol):
-    """Examples that are shown alone or dealt out, see `Examples`."""
+    """Examples that make up a run or a part of one, see `Examples`."""
 
     def at(self, places: Indices, orders: dict[int, Indices]) -> Batch: ...
     def batches(self, batch_size: int, start_step: int = 0, rank: int = 0, ranks: int = 1) -> Iterator[Batch]: ...

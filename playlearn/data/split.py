@@ -8,7 +8,7 @@ from playlearn.store import Store
 
 
 def val_mask(store: Store, fraction: float) -> NDArray[np.bool_]:
-    """(N,) which episodes of a store are held out: as their metadata says, else by their numbers."""
+    """(N,) which episodes of a store are held out: as their metadata fixes it, else by their numbers."""
     by_number = val_episodes(store.indices(), fraction)
     if fraction <= 0:
         return by_number

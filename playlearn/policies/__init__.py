@@ -3,8 +3,8 @@
 from playlearn.policies.encoders import EncoderConfig
 from playlearn.policies.execution import PolicyActor
 from playlearn.policies.heads import HeadConfig
-from playlearn.policies.inputs import PolicySpec
 from playlearn.policies.policy import Policy, PolicyConfig
+from playlearn.policies.spec import PolicySpec
 from playlearn.policies.trunks import TrunkConfig
 
 __all__ = [

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import torch
 from safetensors.torch import load_file, save
@@ -17,8 +16,8 @@ from playlearn.config import atomic_write, from_dict, to_dict
 from playlearn.errors import CheckpointError, PlaylearnError, UsageError
 from playlearn.policies.encoders import EncoderConfig, StateConfig
 from playlearn.policies.heads import DeterministicConfig, Generators, Guidance, HeadConfig
-from playlearn.policies.inputs import Named, PolicySpec
 from playlearn.policies.normalize import Normalizer, pooled
+from playlearn.policies.spec import Named, PolicySpec
 from playlearn.policies.trunks import TransformerConfig, TrunkConfig
 
 WEIGHTS, DESCRIPTION = "policy.safetensors", "policy.json"
@@ -142,18 +141,18 @@ class Policy(nn.Module):
             )
         self.load_state_dict(own | given)
 
-    def behind(self, seeing: "Policy", source: Path) -> "Policy":
+    def behind(self, other: "Policy", source: Path) -> "Policy":
         """A copy of this state policy behind the image encoder of another policy, ready to act.
 
-        seeing: the policy with the image encoder.
+        other: the policy with the image encoder.
         source: its run.
 
         Raises:
             UsageError: the two do not fit together, or are normalized differently.
         """
-        joined = seeing.config.build(seeing.spec, None, seed=0, fetch=False)
-        joined.load_state_dict(seeing.state_dict())
-        mine, its = (part.normalizer.state_dict() for part in (self, seeing))
+        joined = other.config.build(other.spec, None, seed=0, fetch=False)
+        joined.load_state_dict(other.state_dict())
+        mine, its = (part.normalizer.state_dict() for part in (self, other))
         if any(not torch.equal(mine[name], its[name]) for name in mine):
             raise UsageError(f"the image encoder of {source} learned from other play: train both on the same store")
         joined.load_from(self, source)
@@ -221,11 +220,11 @@ class Policy(nn.Module):
         """
         normal = self._normalized(inputs)
         batch, weight = len(normal.state), 1.0 if guidance is None else guidance
-        shown = torch.full((batch,), weight != 0, device=self.device)
-        features = self._features(normal, shown, None)[0]
+        keep = torch.full((batch,), weight != 0, device=self.device)
+        features = self._features(normal, keep, None)[0]
         guide = None
         if weight not in (0.0, 1.0):
-            guide = Guidance(self._features(normal, ~shown, None)[0], weight)
+            guide = Guidance(self._features(normal, ~keep, None)[0], weight)
         chunk = self.head.mode(features, guide) if mode else self.head.sample(features, generator, guide)
         chunk = self.normalizer.restore("action", chunk)
         return (chunk.clamp(-1, 1) if self.spec.clipped else chunk).float().cpu()
@@ -288,7 +287,7 @@ class Policy(nn.Module):
             if description.get("format") != FORMAT:
                 raise CheckpointError(f"{path} is of format {description.get('format')}, this version reads {FORMAT}")
             policy = from_dict(PolicyConfig, description["config"]).build(
-                spec_from_dict(description["spec"]), None, seed=0, fetch=False
+                PolicySpec.from_dict(description["spec"]), None, seed=0, fetch=False
             )
             policy.load_state_dict(load_file(path / WEIGHTS))
         except PlaylearnError as error:
@@ -353,17 +352,3 @@ def _with_keypoints(normal: Inputs, batch: Batch) -> Inputs:
 def _summed(losses: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
     """Their sum, and each by name."""
     return sum(losses.values(), torch.zeros(())), {name: value.detach() for name, value in losses.items()}
-
-
-def spec_from_dict(written: Mapping[str, Any]) -> PolicySpec:
-    """What `dataclasses.asdict` made of a PolicySpec and JSON gave back."""
-    return PolicySpec(
-        state_names=tuple(written["state_names"]),
-        achieved_names=tuple(written["achieved_names"]),
-        action_names=tuple(written["action_names"]),
-        fps=written["fps"],
-        cameras={camera: (size[0], size[1]) for camera, size in written["cameras"].items()},
-        controller=written["controller"],
-        predicts=written.get("predicts", "actions"),
-        bounded=written.get("bounded", True),
-    )

@@ -1,4 +1,4 @@
-"""The default: one of the next moments at which the world has changed and come to rest."""
+"""The default: one of the next moments at which the achieved goal has changed and come to rest."""
 
 from dataclasses import dataclass
 

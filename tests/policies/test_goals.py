@@ -86,8 +86,8 @@ def test_the_share_of_images_is_what_was_asked_for() -> None:
     config = policy("cnn", encoder_options={"goal": "both", "image_goal_prob": 0.25}).config.encoder
     assert isinstance(config, CamerasConfig)
     many = examples(4000)
-    assert config.pictured(many, generator()).sum().item() == pytest.approx(1000, abs=4 * 27)
-    assert config.pictured(many, None).all(), "without a draw, what there is to be seen is seen"
+    assert config.has_goal_image(many, generator()).sum().item() == pytest.approx(1000, abs=4 * 27)
+    assert config.has_goal_image(many, None).all(), "without a draw, what there is to be seen is seen"
 
 
 def test_a_goal_of_the_arm_is_read_where_it_was_asked_for() -> None:
@@ -110,7 +110,7 @@ def test_an_actor_shows_a_policy_the_goal_it_is_told_to() -> None:
         PolicyActor(both, n_action_steps=2, goal="image").reset([blind], [0])
     with pytest.raises(UsageError, match="from state, not from image"):
         PolicyActor(policy(), n_action_steps=2, goal="image")
-    bodiless = dataclasses.replace(whole, state=None)
-    PolicyActor(policy(), n_action_steps=2).reset([bodiless], [0])
-    with pytest.raises(UsageError, match="say where the arm is"):
-        PolicyActor(policy(encoder_options={"goal_proprio": True}), n_action_steps=2).reset([bodiless], [0])
+    stateless = dataclasses.replace(whole, state=None)
+    PolicyActor(policy(), n_action_steps=2).reset([stateless], [0])
+    with pytest.raises(UsageError, match="goals with the robot's state \\(goal_proprio\\)"):
+        PolicyActor(policy(encoder_options={"goal_proprio": True}), n_action_steps=2).reset([stateless], [0])

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from playlearn.batch import Inputs
-from playlearn.policies.inputs import PolicySpec
+from playlearn.policies.spec import PolicySpec
 
 Modality = Literal["state", "image"]
 

@@ -49,12 +49,12 @@ class CamerasConfig(EncoderConfig):
         if not 0 <= self.image_goal_prob <= 1:
             raise UsageError(f"encoder.image_goal_prob is a probability, 0 to 1: got {self.image_goal_prob}")
 
-    def pictured(self, inputs: Inputs, generator: torch.Generator | None) -> Tensor:
+    def has_goal_image(self, inputs: Inputs, generator: torch.Generator | None) -> Tensor:
         """(B,) bool, True for the examples whose goal is an image; drawn in training, else by what the inputs hold."""
         batch, device = len(inputs.state), inputs.state.device
-        shown = self.goal != "state" and self.goal_camera in inputs.goal_images
-        if not shown or self.goal != "both" or generator is None:
-            return torch.full((batch,), shown, device=device)
+        given = self.goal != "state" and self.goal_camera in inputs.goal_images
+        if not given or self.goal != "both" or generator is None:
+            return torch.full((batch,), given, device=device)
         draws = torch.rand(batch, generator=generator, device=generator.device)
         return (draws < self.image_goal_prob).to(device)
 
@@ -81,8 +81,8 @@ def random_shift(frames: Tensor, limit: int, generator: torch.Generator | None) 
     offsets = offsets.to(frames.device)
     rows = (torch.arange(height, device=frames.device) + offsets[0]).clamp_(0, height - 1)  # (B, h)
     columns = (torch.arange(width, device=frames.device) + offsets[1]).clamp_(0, width - 1)  # (B, w)
-    places = (rows[:, :, None] * width + columns[:, None, :]).flatten(1)  # (B, h w)
+    pixel_index = (rows[:, :, None] * width + columns[:, None, :]).flatten(1)  # (B, h w)
     frame = torch.arange(batch * steps, device=frames.device).view(batch, steps, 1) * (height * width)
     # pixels picked by one flat index: three times as fast on a CPU as indexing rows and columns
-    moved = frames.reshape(-1, channels).index_select(0, (frame + places[:, None]).flatten())
+    moved = frames.reshape(-1, channels).index_select(0, (frame + pixel_index[:, None]).flatten())
     return moved.view(frames.shape)

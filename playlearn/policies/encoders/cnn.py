@@ -60,14 +60,14 @@ class SpatialSoftmax(nn.Module):
     def __init__(self, channels: int, height: int, width: int) -> None:
         super().__init__()
         y, x = torch.meshgrid(torch.linspace(-1, 1, height), torch.linspace(-1, 1, width), indexing="ij")
-        self.register_buffer("places", torch.stack([x.flatten(), y.flatten()], dim=1), persistent=False)  # (h w, 2)
+        self.register_buffer("positions", torch.stack([x.flatten(), y.flatten()], dim=1), persistent=False)  # (h w, 2)
         self.sharpness = nn.Parameter(torch.full((channels, 1), self.SHARPNESS))
 
     def forward(self, maps: Tensor) -> Tensor:
         flat = maps.flatten(2)  # (B, C, h w)
         mean, std = flat.mean(-1, keepdim=True), flat.std(-1, keepdim=True)
         weights = ((flat - mean) / (std + 1e-4) * self.sharpness).softmax(dim=-1)
-        expected = weights @ self.get_buffer("places")  # (B, C, 2)
+        expected = weights @ self.get_buffer("positions")  # (B, C, 2)
         return torch.cat([expected.flatten(1), (weights * flat).sum(-1), mean.squeeze(-1)], dim=1)
 
 

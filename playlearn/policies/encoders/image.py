@@ -13,7 +13,7 @@ from playlearn.policies.encoders.base import Encoder, Tokens
 from playlearn.policies.encoders.cameras import CamerasConfig, pixels, random_shift
 from playlearn.policies.encoders.goal_state import GoalStateEncoder
 from playlearn.policies.encoders.objects import ObjectTokens, mlp
-from playlearn.policies.inputs import PolicySpec
+from playlearn.policies.spec import PolicySpec
 
 
 @dataclass(frozen=True)
@@ -56,10 +56,10 @@ class ImageConfig(CamerasConfig):
         unknown = set(self.feed_cameras or ()) - set(self.cameras)
         if unknown:
             raise UsageError(f"encoder.feed_cameras: {min(unknown)!r} is not among encoder.cameras {self.cameras}")
-        pictured = self.feed_cameras is None or self.goal_camera in self.feed_cameras
-        if not pictured and not self.use_estimated_state and self.goal != "state":
+        goal_fed = self.feed_cameras is None or self.goal_camera in self.feed_cameras
+        if not goal_fed and not self.use_estimated_state and self.goal != "state":
             raise UsageError(
-                "encoder.feed_cameras without the goal's camera needs encoder.use_estimated_state: no goal is seen"
+                "encoder.feed_cameras without the goal's camera needs encoder.use_estimated_state: no goal is given"
             )
 
 
@@ -105,25 +105,25 @@ class ImageEncoder(Encoder):
 
     def forward(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
         config = self.config
-        pictured = config.pictured(inputs, generator)  # (B,)
-        seen = self._see(inputs, keep & pictured, generator)
-        step_tokens = [project(seen.cameras[camera]).unsqueeze(2) for camera, project in self.project.items()]
+        has_image = config.has_goal_image(inputs, generator)  # (B,)
+        encoded = self._encode(inputs, keep & has_image, generator)
+        step_tokens = [project(encoded.cameras[camera]).unsqueeze(2) for camera, project in self.project.items()]
 
-        flag = keep.long() if len(config.goals) == 1 else keep * (2 - pictured.long())
+        flag = keep.long() if len(config.goals) == 1 else keep * (2 - has_image.long())
         goal_token = self.goal_flag[flag]  # (B, D)
-        if self.project_goal is not None and seen.goal is not None:
-            goal_token = goal_token + torch.where((keep & pictured)[:, None], self.project_goal(seen.goal), 0.0)
+        if self.project_goal is not None and encoded.goal is not None:
+            goal_token = goal_token + torch.where((keep & has_image)[:, None], self.project_goal(encoded.goal), 0.0)
         if self.told is not None:
-            goal_token = goal_token + torch.where((keep & ~pictured)[:, None], self.told(inputs.goal_achieved), 0.0)
+            goal_token = goal_token + torch.where((keep & ~has_image)[:, None], self.told(inputs.goal_achieved), 0.0)
 
-        observed, goal = self._estimated(inputs, seen, pictured)
+        observed, goal = self._estimated(inputs, encoded, has_image)
         if self.objects is not None and observed is not None and goal is not None:
             now, then = (observed.detach(), goal.detach()) if config.detach_estimate else (observed, goal)
             step_tokens.append(self.objects(inputs.state, now, then, keep))
         elif self.proprio is not None:
             step_tokens.append(self.proprio(inputs.state).unsqueeze(2))
         return Tokens(
-            goal_token.unsqueeze(1), torch.cat(step_tokens, 2), observed, goal, seen.heatmaps, seen.goal_heatmaps
+            goal_token.unsqueeze(1), torch.cat(step_tokens, 2), observed, goal, encoded.heatmaps, encoded.goal_heatmaps
         )
 
     def token_parameters(self) -> Iterable[nn.Parameter]:
@@ -133,13 +133,13 @@ class ImageEncoder(Encoder):
         return [parameter for name, parameter in self.named_parameters() if not name.startswith(reads_images)]
 
     def perceive(self, inputs: Inputs, generator: torch.Generator | None = None) -> Tokens:
-        pictured = self.config.pictured(inputs, generator)
-        seen = self._see(inputs, pictured, generator)
-        observed, goal = self._estimated(inputs, seen, pictured)
-        none = inputs.state.new_empty(len(pictured), 0, 0)
-        return Tokens(none, none.unsqueeze(1), observed, goal, seen.heatmaps, seen.goal_heatmaps)
+        has_image = self.config.has_goal_image(inputs, generator)
+        encoded = self._encode(inputs, has_image, generator)
+        observed, goal = self._estimated(inputs, encoded, has_image)
+        none = inputs.state.new_empty(len(has_image), 0, 0)
+        return Tokens(none, none.unsqueeze(1), observed, goal, encoded.heatmaps, encoded.goal_heatmaps)
 
-    def look(self, backbone: nn.Module, images: Tensor) -> tuple[Tensor, Tensor | None]:
+    def run_backbone(self, backbone: nn.Module, images: Tensor) -> tuple[Tensor, Tensor | None]:
         """(B, C, h, w) to features (B, F), and heatmaps (B, K, h', w') of those that make them."""
         return backbone(images), None
 
@@ -151,17 +151,19 @@ class ImageEncoder(Encoder):
         loss = loss + nn.functional.smooth_l1_loss(tokens.wanted, inputs.goal_achieved, beta=0.1)
         return {"achieved": self.config.state_supervision * loss}
 
-    def _estimated(self, inputs: Inputs, seen: "_Seen", pictured: Tensor) -> tuple[Tensor | None, Tensor | None]:
+    def _estimated(
+        self, inputs: Inputs, encoded: "_Features", has_image: Tensor
+    ) -> tuple[Tensor | None, Tensor | None]:
         """(B, T, G) and (B, G), normalized estimates of observation and goal; None where there are none."""
         if self.estimate is None:
             return None, None
-        observed = self.estimate(seen.cameras, inputs.state)
+        observed = self.estimate(encoded.cameras, inputs.state)
         goal = inputs.goal_achieved
-        if seen.goal is not None:
-            goal = torch.where(pictured[:, None], self.estimate.wanted(seen.goal), goal)
+        if encoded.goal is not None:
+            goal = torch.where(has_image[:, None], self.estimate.wanted(encoded.goal), goal)
         return observed, goal
 
-    def _see(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None) -> "_Seen":
+    def _encode(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None) -> "_Features":
         """The features of all images; fused early, the last step's are also the goal's.
 
         keep: (B,) bool, False where the goal image is dropped.
@@ -169,43 +171,43 @@ class ImageEncoder(Encoder):
         config, (batch, steps) = self.config, inputs.state.shape[:2]
         heatmaps: dict[str, Tensor] = {}
         goal_heatmaps: dict[str, Tensor] = {}
-        frames = self._front_frames(inputs, keep, generator)  # (B, T or T + 1, C, h, w)
-        seen, maps = self.look(self.front, frames.flatten(0, 1))
-        seen = seen.unflatten(0, (batch, -1))  # (B, T or T + 1, F)
-        goal = seen[:, -1] if self.fused or config.goal_camera in inputs.goal_images else None
-        cameras = {config.goal_camera: seen[:, :steps]}
+        stacked = self._goal_camera_frames(inputs, keep, generator)  # (B, T or T + 1, C, h, w)
+        encoded, maps = self.run_backbone(self.front, stacked.flatten(0, 1))
+        encoded = encoded.unflatten(0, (batch, -1))  # (B, T or T + 1, F)
+        goal = encoded[:, -1] if self.fused or config.goal_camera in inputs.goal_images else None
+        cameras = {config.goal_camera: encoded[:, :steps]}
         if maps is not None:
             maps = maps.unflatten(0, (batch, -1))
             heatmaps[config.goal_camera] = maps[:, :steps]
             if goal is not None and not self.fused:
                 goal_heatmaps[config.goal_camera] = maps[:, -1]
         for camera, backbone in self.others.items():
-            shown = random_shift(inputs.images[camera], config.shift, generator)
-            found, maps = self.look(backbone, pixels(shown.flatten(0, 1)))
+            frames = random_shift(inputs.images[camera], config.shift, generator)
+            found, maps = self.run_backbone(backbone, pixels(frames.flatten(0, 1)))
             cameras[camera] = found.unflatten(0, (batch, steps))
             if maps is not None:
                 heatmaps[camera] = maps.unflatten(0, (batch, steps))
-        return _Seen(cameras, goal, heatmaps, goal_heatmaps)
+        return _Features(cameras, goal, heatmaps, goal_heatmaps)
 
-    def _front_frames(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None) -> Tensor:
+    def _goal_camera_frames(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None) -> Tensor:
         """(B, T, C, h, w) inputs of the backbone of the goal's camera: fused with the goal, or that is one more step.
 
         A goal that is the observation itself, as a drawn scene's is, is encoded once.
         """
         config, (batch, steps) = self.config, inputs.state.shape[:2]
-        shown = inputs.images[config.goal_camera]  # (B, T, h, w, 3)
+        frames = inputs.images[config.goal_camera]  # (B, T, h, w, 3)
         if not self.fused and (
             config.goal_camera not in inputs.goal_images or _is_own_goal(inputs, config.goal_camera)
         ):
-            shown = random_shift(shown, config.shift, generator)
-            return self._rows(pixels(shown.flatten(0, 1)), batch)
-        wanted = inputs.goal_images.get(config.goal_camera, torch.zeros_like(shown[:, 0]))  # (B, h, w, 3)
-        both = torch.cat([shown, wanted.unsqueeze(1)], dim=1)
+            frames = random_shift(frames, config.shift, generator)
+            return self._rows(pixels(frames.flatten(0, 1)), batch)
+        wanted = inputs.goal_images.get(config.goal_camera, torch.zeros_like(frames[:, 0]))  # (B, h, w, 3)
+        both = torch.cat([frames, wanted.unsqueeze(1)], dim=1)
         both = random_shift(both, config.shift, generator)
         if not self.fused:
             return self._rows(pixels(both.flatten(0, 1)), batch)
-        shown, wanted = both.split([steps, 1], 1)
-        stacked = torch.cat([shown, wanted.expand(-1, steps, -1, -1, -1)], dim=-1)  # (B, T, h, w, 6)
+        frames, wanted = both.split([steps, 1], 1)
+        stacked = torch.cat([frames, wanted.expand(-1, steps, -1, -1, -1)], dim=-1)  # (B, T, h, w, 6)
         scaled = pixels(stacked.flatten(0, 1))  # (B T, 6, h, w)
         dropped = ~keep.repeat_interleave(steps)
         scaled[:, 3:].masked_fill_(dropped[:, None, None, None], 0.0)  # mid-gray
@@ -219,11 +221,11 @@ class ImageEncoder(Encoder):
 
 def _is_own_goal(inputs: Inputs, camera: str) -> bool:
     """Whether the goal image is the observation itself, in the same memory."""
-    shown, wanted = inputs.images[camera], inputs.goal_images[camera]
-    return shown.shape[1] == 1 and shown.data_ptr() == wanted.data_ptr()
+    frames, wanted = inputs.images[camera], inputs.goal_images[camera]
+    return frames.shape[1] == 1 and frames.data_ptr() == wanted.data_ptr()
 
 
-class _Seen(NamedTuple):
+class _Features(NamedTuple):
     """What the backbones return.
 
     cameras: camera -> (B, T, F) features of the observation.
@@ -243,8 +245,8 @@ class _Estimate(nn.Module):
 
     def __init__(self, config: ImageConfig, achieved: int, state: int) -> None:
         super().__init__()
-        seen, net = config.features * len(config.cameras) + state, _Read if config.linear_estimate else mlp
-        self.observed = net(seen, config.hidden, achieved)
+        inputs, net = config.features * len(config.cameras) + state, _LinearAndMLP if config.linear_estimate else mlp
+        self.observed = net(inputs, config.hidden, achieved)
         self.wanted = net(config.features, config.hidden, achieved)
         # fused late, one backbone encodes both images, so one head may learn from both
         self.shared = config.fusion == "late" or config.goal == "state"
@@ -255,7 +257,7 @@ class _Estimate(nn.Module):
         return observed + self.wanted(features[self.camera]) if self.shared else observed
 
 
-class _Read(nn.Module):
+class _LinearAndMLP(nn.Module):
     """A linear map and a small network, summed."""
 
     def __init__(self, inputs: int, hidden: int, out: int) -> None:

@@ -21,7 +21,7 @@ from playlearn.layout import ObjectLayout
 from playlearn.policies.encoders.base import EncoderConfig, Tokens
 from playlearn.policies.encoders.cameras import channels_last
 from playlearn.policies.encoders.image import ImageConfig, ImageEncoder
-from playlearn.policies.inputs import PolicySpec
+from playlearn.policies.spec import PolicySpec
 
 
 @EncoderConfig.register_subclass("keypoints")
@@ -72,7 +72,7 @@ class KeypointsEncoder(ImageEncoder):
 
     config: KeypointsConfig
 
-    def look(self, backbone: nn.Module, images: Tensor) -> tuple[Tensor, Tensor | None]:
+    def run_backbone(self, backbone: nn.Module, images: Tensor) -> tuple[Tensor, Tensor | None]:
         features, heatmaps = backbone(images)
         return features, heatmaps
 
@@ -120,11 +120,11 @@ class KeypointBackbone(nn.Module):
         logits = (logits - mean) * (self.sharpness / (std + 1e-3))
         total = logits.logsumexp(dim=-1, keepdim=True)  # how peaked the map is
         weights = (logits - total).exp()
-        seen = weights @ maps.flatten(2).transpose(1, 2)  # (B, K, C)
-        places = weights @ self.get_buffer("cells")  # (B, K, 2)
-        found = [seen, POSITION_SCALE * places, total]
+        pooled = weights @ maps.flatten(2).transpose(1, 2)  # (B, K, C)
+        positions = weights @ self.get_buffer("cells")  # (B, K, 2)
+        found = [pooled, POSITION_SCALE * positions, total]
         if self.glimpses is not None:
-            found.append(self.glimpses(images, places.detach()))
+            found.append(self.glimpses(images, positions.detach()))
         return self.project(torch.cat(found, dim=-1).flatten(1)), logits.unflatten(-1, maps.shape[2:])
 
 
@@ -141,25 +141,25 @@ class Glimpses(nn.Module):
         super().__init__()
         self.side, self.features = config.glimpse, config.glimpse_features + 2
         self.convolution = channels_last(nn.Conv2d(channels, self.CHANNELS, self.KERNEL, self.STRIDE))
-        seen = self.CHANNELS * ((self.side - self.KERNEL) // self.STRIDE + 1) ** 2
-        weight = torch.randn(config.heatmaps, seen, config.glimpse_features) * (2 / seen) ** 0.5  # He et al. 2015
+        inputs = self.CHANNELS * ((self.side - self.KERNEL) // self.STRIDE + 1) ** 2
+        weight = torch.randn(config.heatmaps, inputs, config.glimpse_features) * (2 / inputs) ** 0.5  # He et al. 2015
         self.weight = nn.Parameter(weight)
         self.bias = nn.Parameter(torch.zeros(config.heatmaps, 1, config.glimpse_features))
         height, width = size
         self.register_buffer("size", torch.tensor([width, height]), persistent=False)
 
-    def forward(self, images: Tensor, places: Tensor) -> Tensor:
-        corners = self.corners(places)
+    def forward(self, images: Tensor, positions: Tensor) -> Tensor:
+        corners = self.corners(positions)
         maps = self.convolution(self.cut(images, corners).flatten(0, 1)).relu()
-        maps = maps.flatten(1).unflatten(0, corners.shape[:2]).transpose(0, 1)  # (K, B, seen)
+        maps = maps.flatten(1).unflatten(0, corners.shape[:2]).transpose(0, 1)  # (K, B, inputs)
         read = torch.baddbmm(self.bias, maps, self.weight).relu().transpose(0, 1)  # (B, K, glimpse_features)
         centers = 2 * (corners + self.side / 2) / self.get_buffer("size") - 1
         return torch.cat([read, POSITION_SCALE * centers], dim=-1)
 
-    def corners(self, places: Tensor) -> Tensor:
+    def corners(self, positions: Tensor) -> Tensor:
         """(B, K, 2) int64: the first column and row of each square."""
         size = self.get_buffer("size")
-        first = ((places + 1) / 2 * size - self.side / 2).round().long()
+        first = ((positions + 1) / 2 * size - self.side / 2).round().long()
         return first.clamp(min=torch.zeros_like(size), max=size - self.side)
 
     def cut(self, images: Tensor, corners: Tensor) -> Tensor:
@@ -168,10 +168,10 @@ class Glimpses(nn.Module):
         along = torch.arange(self.side, device=images.device)
         rows, columns = corners[..., 1, None] + along, corners[..., 0, None] + along  # (B, K, side)
         first = torch.arange(batch, device=images.device).view(-1, 1, 1, 1) * (height * width)
-        places = first + rows[..., :, None] * width + columns[..., None, :]  # (B, K, side, side)
+        positions = first + rows[..., :, None] * width + columns[..., None, :]  # (B, K, side, side)
         pixels = images.permute(0, 2, 3, 1).reshape(-1, channels)
         # pixels picked by one flat index, as in `random_shift`
-        return pixels.index_select(0, places.flatten()).view(*places.shape, channels).movedim(-1, 2)
+        return pixels.index_select(0, positions.flatten()).view(*positions.shape, channels).movedim(-1, 2)
 
 
 def cell_centers(count: int) -> Tensor:

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from playlearn.layout import ObjectLayout
-from playlearn.policies.inputs import PolicySpec
+from playlearn.policies.spec import PolicySpec
 
 NEAR = 4.0  # for fine differences: a quarter of the data's std saturates tanh
 
@@ -39,8 +39,8 @@ class ObjectTokens(nn.Module):
         self.kinds = nn.ModuleList(
             _Kind(parts, members, chosen, robot, hidden, width) for parts, members in kinds.items()
         )
-        self.arm, body = arm, len(spec.state_names)
-        self.robot = mlp(3 * body + 1 if arm else body, hidden, width)
+        self.arm, width_in = arm, len(spec.state_names)
+        self.robot = mlp(3 * width_in + 1 if arm else width_in, hidden, width)
         self.count = len(objects) + 1
 
     def forward(
@@ -48,12 +48,12 @@ class ObjectTokens(nn.Module):
     ) -> Tensor:
         """(B, T, S), (B, T, G), (B, G), (B,) bool, False where the goal is dropped, and (B, S) to (B, T, M, D)."""
         tokens = [kind(state, achieved, goal, keep) for kind in self.kinds]
-        body = state
+        proprio = state
         if self.arm and goal_proprio is not None:
-            shown = keep[:, None, None].to(state.dtype)
-            left = (goal_proprio.unsqueeze(1) - state) * shown  # (B, T, S)
-            body = torch.cat([state, left, torch.tanh(NEAR * left), shown.expand(*state.shape[:2], 1)], dim=-1)
-        return torch.cat([*tokens, self.robot(body).unsqueeze(2)], dim=2)
+            kept = keep[:, None, None].to(state.dtype)
+            left = (goal_proprio.unsqueeze(1) - state) * kept  # (B, T, S)
+            proprio = torch.cat([state, left, torch.tanh(NEAR * left), kept.expand(*state.shape[:2], 1)], dim=-1)
+        return torch.cat([*tokens, self.robot(proprio).unsqueeze(2)], dim=2)
 
 
 class _Kind(nn.Module):
@@ -71,8 +71,8 @@ class _Kind(nn.Module):
         super().__init__()
         placed = [(k, robot[part]) for k, part in enumerate(parts) if part in robot and part in ("x", "y", "z")]
         self.register_buffer("members", torch.tensor(members), persistent=False)  # (n, P)
-        spoken = [[float(i in chosen) for i in own] for own in members]
-        self.register_buffer("spoken", torch.tensor(spoken), persistent=False)  # (n, P)
+        in_goal = [[float(i in chosen) for i in own] for own in members]
+        self.register_buffer("in_goal", torch.tensor(in_goal), persistent=False)  # (n, P)
         self.register_buffer("part", torch.tensor([k for k, _ in placed], dtype=torch.long), persistent=False)
         self.register_buffer("place", torch.tensor([i for _, i in placed], dtype=torch.long), persistent=False)
         self.net = mlp(3 * len(parts) + 2 * len(placed) + 1, hidden, width)
@@ -81,8 +81,8 @@ class _Kind(nn.Module):
     def forward(self, state: Tensor, achieved: Tensor, goal: Tensor, keep: Tensor) -> Tensor:
         members = self.get_buffer("members")
         now = achieved[..., members]  # (B, T, n, P)
-        shown = self.get_buffer("spoken") * keep[:, None, None, None]
-        left = (goal[:, None, members] - now) * shown
+        kept = self.get_buffer("in_goal") * keep[:, None, None, None]
+        left = (goal[:, None, members] - now) * kept
         place = state[..., self.get_buffer("place")].unsqueeze(2)  # (B, T, 1, R)
         away = now[..., self.get_buffer("part")] - place  # (B, T, n, R)
         given = keep[:, None, None, None].to(now.dtype).expand(*now.shape[:-1], 1)

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from playlearn.batch import Inputs
 from playlearn.policies.encoders.base import Encoder, EncoderConfig, Modality, Tokens
 from playlearn.policies.encoders.objects import ObjectTokens
-from playlearn.policies.inputs import PolicySpec
+from playlearn.policies.spec import PolicySpec
 
 
 @EncoderConfig.register_subclass("state")

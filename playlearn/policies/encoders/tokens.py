@@ -17,7 +17,7 @@ from playlearn.policies.encoders.base import Encoder, EncoderConfig, Tokens
 from playlearn.policies.encoders.cameras import CamerasConfig, channels_last, pixels, random_shift
 from playlearn.policies.encoders.goal_state import GoalStateEncoder
 from playlearn.policies.encoders.objects import mlp
-from playlearn.policies.inputs import PolicySpec
+from playlearn.policies.spec import PolicySpec
 
 
 @EncoderConfig.register_subclass("tokens")
@@ -75,7 +75,7 @@ class TokensEncoder(Encoder):
 
     def forward(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
         config, (batch, steps) = self.config, inputs.state.shape[:2]
-        pictured = config.pictured(inputs, generator)  # (B,)
+        has_image = config.has_goal_image(inputs, generator)  # (B,)
         frames = {camera: inputs.images[camera] for camera in config.cameras}  # (B, T, h, w, 3)
         goal_frame: Tensor | None = None
         if config.goal_camera in inputs.goal_images:
@@ -83,26 +83,26 @@ class TokensEncoder(Encoder):
             both = torch.cat([frames[config.goal_camera], inputs.goal_images[config.goal_camera].unsqueeze(1)], dim=1)
             moved = random_shift(both, config.shift, generator)
             frames[config.goal_camera], goal_frame = moved[:, :-1], moved[:, -1]
-        goal = self._goal(inputs, goal_frame, keep, pictured)  # (B, W)
+        goal = self._goal(inputs, goal_frame, keep, has_image)  # (B, W)
         condition = goal.repeat_interleave(steps, dim=0)  # (B T, W)
         tokens = []
         for camera, backbone in self.eyes.items():
-            shown = frames[camera]
+            images = frames[camera]
             if camera != config.goal_camera or goal_frame is None:
-                shown = random_shift(shown, config.shift, generator)
-            found = self.out_proj[camera](backbone(pixels(shown.flatten(0, 1)), condition))  # (B T, K, D)
+                images = random_shift(images, config.shift, generator)
+            found = self.out_proj[camera](backbone(pixels(images.flatten(0, 1)), condition))  # (B T, K, D)
             tokens.append(found.unflatten(0, (batch, steps)))
         tokens.append(self.proprio(inputs.state).unsqueeze(2))
         return Tokens(self.goal_out(goal).unsqueeze(1), torch.cat(tokens, dim=2))
 
-    def _goal(self, inputs: Inputs, frame: Tensor | None, keep: Tensor, pictured: Tensor) -> Tensor:
+    def _goal(self, inputs: Inputs, frame: Tensor | None, keep: Tensor, has_image: Tensor) -> Tensor:
         """(B, hidden) the goal, from an image or a state, or that there is none."""
-        flag = keep.long() if len(self.config.goals) == 1 else keep * (2 - pictured.long())
+        flag = keep.long() if len(self.config.goals) == 1 else keep * (2 - has_image.long())
         goal = self.goal_flag[flag]
         if self.goal_eye is not None and frame is not None:
-            goal = goal + torch.where((keep & pictured)[:, None], self.goal_eye(pixels(frame)), 0.0)
+            goal = goal + torch.where((keep & has_image)[:, None], self.goal_eye(pixels(frame)), 0.0)
         if self.told is not None:
-            goal = goal + torch.where((keep & ~pictured)[:, None], self.told(inputs.goal_achieved), 0.0)
+            goal = goal + torch.where((keep & ~has_image)[:, None], self.told(inputs.goal_achieved), 0.0)
         return goal
 
 

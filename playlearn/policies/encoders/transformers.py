@@ -125,7 +125,7 @@ class _VisionModel(nn.Module):
         self.arguments = {"interpolate_pos_encoding": True} if resizes else {}
         self.pool: nn.Module | None = None
         try:
-            shape = self._seen(torch.zeros(1, channels, *size)).shape
+            shape = self._features(torch.zeros(1, channels, *size)).shape
         except Exception as error:  # a model of text and images, or one that this image is too small for
             raise UsageError(
                 f"encoder.name {name!r} does not read a {size[0]}x{size[1]} image ({type(error).__name__}: {error}); "
@@ -136,17 +136,17 @@ class _VisionModel(nn.Module):
         self.width = 4 * shape[1] if len(shape) == 4 else shape[-1]
         # a parameter that the features do not depend on, such as a mask token, is not trained
         parameters = list(model.parameters())
-        seen = self.forward(torch.rand(2, channels, *size)).sum()
-        gradients = torch.autograd.grad(seen, parameters, allow_unused=True)
+        features = self.forward(torch.rand(2, channels, *size)).sum()
+        gradients = torch.autograd.grad(features, parameters, allow_unused=True)
         for parameter, gradient in zip(parameters, gradients, strict=True):
             parameter.requires_grad_(gradient is not None)
 
     def forward(self, images: Tensor) -> Tensor:
-        seen = self._seen(images)
-        out: Tensor = seen.mean(1) if self.pool is None else self.pool(seen)
+        features = self._features(images)
+        out: Tensor = features.mean(1) if self.pool is None else self.pool(features)
         return out
 
-    def _seen(self, images: Tensor) -> Tensor:
+    def _features(self, images: Tensor) -> Tensor:
         out: Tensor = self.model(images, **self.arguments).last_hidden_state
         return out
 

@@ -44,6 +44,20 @@ class PolicySpec:
     predicts: Literal["actions", "next_settled_delta"] = "actions"
     bounded: bool = True
 
+    @classmethod
+    def from_dict(cls, written: Mapping[str, Any]) -> "PolicySpec":
+        """What `dataclasses.asdict` made of one and JSON gave back."""
+        return cls(
+            state_names=tuple(written["state_names"]),
+            achieved_names=tuple(written["achieved_names"]),
+            action_names=tuple(written["action_names"]),
+            fps=written["fps"],
+            cameras={camera: (size[0], size[1]) for camera, size in written["cameras"].items()},
+            controller=written["controller"],
+            predicts=written.get("predicts", "actions"),
+            bounded=written.get("bounded", True),
+        )
+
     @property
     def clipped(self) -> bool:
         """Whether predictions must lie in [-1, 1]."""
@@ -76,7 +90,7 @@ class PolicySpec:
                 )
 
     def goal_dimensions(self, patterns: Sequence[str]) -> list[int]:
-        """The dimensions of `achieved` that a goal speaks of.
+        """The dimensions of `achieved` that a goal covers.
 
         Raises:
             UsageError: a pattern matches no name, or no dimension is left.
