@@ -87,7 +87,7 @@ def test_shapes_and_types(store: NativeStore) -> None:
     assert {value.device.type for value in fields(moved).values()} == {"meta"}
 
 
-def test_an_example_depends_on_seed_epoch_and_index_alone(store: NativeStore) -> None:
+def test_an_example_depends_only_on_seed_epoch_and_index(store: NativeStore) -> None:
     data = DataConfig(val_fraction=0.0).build(store, "train", 1)
     indices = np.arange(60)
     whole = data.goals(4, indices)
@@ -221,7 +221,7 @@ def test_a_recording_without_achieved_has_goals_from_the_robot(tmp_path: Path) -
     )
 
 
-def test_a_share_of_the_failing_windows_is_kept(tmp_path: Path) -> None:
+def test_a_fraction_of_the_failing_examples_is_kept(tmp_path: Path) -> None:
     """In each of 10 episodes: pushes with a slip at 40 ... 43, then opens with nothing amiss: 44 of 200 steps fail."""
     rng = np.random.default_rng(0)
     numbers = np.zeros(200, np.int16)

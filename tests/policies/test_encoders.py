@@ -48,7 +48,7 @@ def test_with_an_estimate_too_a_withheld_goal_leaves_no_trace(fusion: str) -> No
     assert torch.equal(made.act(batch, generator(), guidance=0.0), made.act(elsewhere, generator(), guidance=0.0))
 
 
-def test_the_auxiliary_loss_shapes_the_estimate_and_the_policy_only_if_told() -> None:
+def test_the_auxiliary_loss_trains_the_estimate_and_the_policy_only_if_configured() -> None:
     """Detached, the policy's loss gives the estimate's own layers no gradient; attached, it does."""
     for detached in (True, False):
         made = policy("cnn", encoder_options={**ESTIMATE, "detach_estimate": detached})
@@ -168,7 +168,7 @@ def test_objects_of_one_kind_are_seen_through_the_same_weights() -> None:
     assert not torch.allclose(tokens[:, :, 0], tokens[:, :, 1])
 
 
-def test_an_object_token_knows_of_itself_and_the_hand_alone() -> None:
+def test_an_object_token_depends_only_on_its_object_and_the_gripper() -> None:
     """Moving blue, or blue's goal, leaves the tokens of red, the drawer and the robot as they were."""
     made, state, achieved, goal = object_tokens()
     keep = torch.ones(4, dtype=torch.bool)

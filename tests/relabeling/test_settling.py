@@ -64,7 +64,7 @@ def test_other_units_scale_them(play: list[np.ndarray], factor: float) -> None:
         np.testing.assert_allclose(after, before * scale, rtol=1e-6)
 
 
-def test_things_of_one_kind_share_theirs_in_whatever_order(play: list[np.ndarray]) -> None:
+def test_dimensions_of_one_quantity_share_theirs_in_any_order(play: list[np.ndarray]) -> None:
     """A thing that was hardly touched is judged by how far its like are moved."""
     nudged = [np.concatenate([one, 0.01 * one[:, :1]], axis=1) for one in play]
     names = (*ACHIEVED, "green.x")
