@@ -1,4 +1,4 @@
-"""One recording of play, frozen and checked at birth; nothing else knows its fields by heart.
+"""One recording of play, frozen and validated when built.
 
     observation  o_0 --a_0--> o_1 --a_1--> o_2  ...  --a_{T-1}--> o_T
     index         0            1            2                      T
@@ -25,8 +25,8 @@ IMAGES = "observation.images."
 class Observation:
     """What can be seen at one moment.
 
-    state: (S,) float32, the robot's own body (proprioception).
-    achieved: (G,) float32, objects and fixtures: what a goal speaks of.
+    state: (S,) float32, the robot's own state (proprioception).
+    achieved: (G,) float32, objects and fixtures: what a goal covers.
     images: camera -> (h, w, 3) uint8, upright; empty where no camera was asked for.
     time: simulated seconds.
     """
@@ -39,10 +39,11 @@ class Observation:
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """What is to be reached: achieved (G,) float32, images camera -> (h, w, 3) uint8 and state (S,) of one moment.
+    """What is to be reached; a policy reads what its encoder was built for, a scripted expert `achieved`.
 
-    A policy reads the part its encoder was built for; a scripted expert reads `achieved`. state: the robot's own
-    body there, None where nothing is said of it.
+    achieved: (G,) float32, objects and fixtures.
+    images: camera -> (h, w, 3) uint8.
+    state: (S,) float32, the robot's own state; None where the goal leaves it open.
     """
 
     achieved: Array
@@ -54,8 +55,10 @@ class Goal:
 class Decision:
     """What an actor decided for one environment at one step.
 
-    action: (A,) in [-1, 1], executed. label: (A,), what a learner should copy (None: the action).
-    skill: an annotation for analysis (see `annotation`). intervention: an expert took over here.
+    action: (A,) in [-1, 1], executed.
+    label: (A,), what a learner should copy (None: the action).
+    skill: an annotation for analysis (see `annotation`).
+    intervention: whether an expert took over here.
     """
 
     action: Array
@@ -69,10 +72,20 @@ class EpisodeMeta:
     """Where an episode comes from; everything in it is JSON.
 
     environment: `{"type": kind, ...}`, the environment's full config, enough to build it again.
-    *_names: what each index of state, achieved and action means. skills: the names `skill` indexes.
-    cameras: name -> {"height", "width"} of the recorded images. renderer: GL back end and device.
-    versions: package -> version. actor: who acted. ended: why the episode stopped. split: "train" or "val" where
-    who recorded it said so; "" leaves it to the episode's number.
+    state_names: what each dimension of `state` is.
+    achieved_names: what each dimension of `achieved` is (see ObjectLayout).
+    action_names: what each dimension of `action` is.
+    fps: steps a second.
+    seed: of the episode.
+    actor: who acted.
+    skills: the annotations that `skill` indexes.
+    controller: the controller's settings.
+    cameras: name -> {"height", "width"} of the recorded images.
+    renderer: GL back end and device.
+    versions: package -> version.
+    ended: why the episode stopped.
+    task: what was asked for; "" in free play.
+    split: "train" or "val" where the recording fixes it; "" leaves it to the episode's number.
     """
 
     environment: Mapping[str, Any]
@@ -96,10 +109,16 @@ class EpisodeMeta:
 class Episode:
     """T actions and T + 1 observations.
 
-    state: (T+1, S) float32. achieved: (T+1, G) float32. sim_state: (T+1, N) float64, restores the
-    simulator exactly. time: (T+1,) float64 seconds, strictly forward. action: (T, A) float32, executed.
-    expert_action: (T, A) float32, the label. intervention: (T,) bool. skill: (T,) int16, an index
-    into `meta.skills`. images: camera -> (T+1, h, w, 3) uint8, upright.
+    meta: where it comes from.
+    state: (T+1, S) float32.
+    achieved: (T+1, G) float32.
+    sim_state: (T+1, N) float64, restores the simulator exactly.
+    time: (T+1,) float64 seconds, strictly increasing.
+    action: (T, A) float32, executed.
+    expert_action: (T, A) float32, the label.
+    intervention: (T,) bool.
+    skill: (T,) int16, an index into `meta.skills`.
+    images: camera -> (T+1, h, w, 3) uint8, upright.
 
     Raises:
         EpisodeError: lengths disagree, a value is not finite, time does not go forward, T is 0.
@@ -156,7 +175,7 @@ class Episode:
 
 
 def annotation(skill: str, marks: Sequence[str] = ()) -> str:
-    """What `Decision.skill` says: the skill's name, then what else is true of the step: `stack_red:planned:slip`."""
+    """The value of `Decision.skill`: the skill's name, then marks of the step: `stack_red:open_loop:slip`."""
     return ":".join((skill, *marks))
 
 

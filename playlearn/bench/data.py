@@ -17,10 +17,11 @@ from typing import Any
 
 import torch
 
+from playlearn.batch import Batch
 from playlearn.bench.base import Figure, Size, measuring, rates
 from playlearn.bench.envs import SEED, SIDE
 from playlearn.collection import CollectConfig, collect
-from playlearn.data import Batch, DataConfig, PlayDataset
+from playlearn.data import DataConfig, PlayDataset
 from playlearn.envs import PlayTableConfig
 from playlearn.relabeling import UniformConfig
 from playlearn.sim import CameraConfig

@@ -18,9 +18,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from playlearn.batch import Batch
 from playlearn.bench.base import Figure, Size, measuring, rates
 from playlearn.bench.envs import SEED, SIDE
-from playlearn.data import Batch
 from playlearn.policies import Policy, PolicyConfig, PolicySpec
 from playlearn.policies.ema import averaged
 from playlearn.policies.encoders import CNNConfig, TorchvisionConfig

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from playlearn.data import Batch, Indices, PlayDataset, Recorded
+from playlearn.batch import Batch
+from playlearn.data import Indices, PlayDataset, Recorded
 from playlearn.episode import IMAGES, Array
 from playlearn.errors import StoreError
 from playlearn.relabeling import counter_uniforms
@@ -20,7 +21,7 @@ _SEED = 0xC0FFEE  # so that these draws are not those of the goals
 
 
 class Corrections:
-    """The files that `make_corrections` left in a folder, as variants of a dataset's examples (`PlayDataset.vary`)."""
+    """The files that `make_corrections` left in a folder, as the augmentation of a dataset."""
 
     def __init__(self, folder: Path, dataset: PlayDataset, fraction: float) -> None:
         """share: see `CorrectionsConfig`. Only moments from which the dataset has a goal to draw are used.

@@ -1,19 +1,21 @@
 """A store and a way of relabeling, turned into batches: a pure function of (seed, epoch, index)."""
 
-import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, Literal, Self
+from typing import Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from playlearn.data.prefetch import prepared_ahead
+from playlearn.batch import Batch
+from playlearn.data.cameras import check_cameras
 from playlearn.data.split import val_mask
+from playlearn.data.stream import Examples, Indices
 from playlearn.episode import IMAGES, Array
 from playlearn.errors import StoreError, UsageError
+from playlearn.layout import ObjectLayout
 from playlearn.relabeling import (
     UNIFORMS,
     GoalSamplerConfig,
@@ -22,93 +24,36 @@ from playlearn.relabeling import (
     SettlingConfig,
     counter_uniforms,
     leads_to_failure,
-    matching,
 )
 from playlearn.store import Store
-
-Indices = NDArray[np.int64]
-type Recorded = Callable[[int | Indices, Indices], Batch]  # (epoch, examples)
-type Variation = Callable[[Recorded, int | Indices, Indices], Batch]
-
-
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """B training examples; example b stands at some moment t of an episode and knows its goal.
-
-    state (B, T, S) float32, achieved (B, T, G) float32, images camera -> (B, T, h, w, 3) uint8: the
-        observations t-T+1 ... t; before the episode's first one it is repeated.
-    history_mask (B, T) bool: False where it was repeated.
-    goal_achieved (B, G) float32, goal_state (B, S) float32, goal_images camera -> (B, h, w, 3) uint8: the goal's
-        observation; the state is the arm's, for goals that speak of it too.
-    action (B, H, A) float32: the labels of the steps t ... t+H-1, the last repeated past the end; or the change, H = 1
-        and A = G (see `DataConfig.labels`).
-    action_mask (B, H) bool: False past the end, past a mistake, and past the goal where the dataset was told so.
-    steps_to_goal (B,) int64: how many actions lie between t and the goal; 0 where none leads there (a goal of
-        another episode, or of the past).
-    keypoints camera -> (B, T, O, 2), goal_keypoints camera -> (B, O, 2) float32: where a camera sees each object, of
-        scenes that a simulator drew (see `policies.Inputs`); NaN where nobody knows, no camera where none is known.
-    """
-
-    state: torch.Tensor
-    achieved: torch.Tensor
-    images: Mapping[str, torch.Tensor]
-    history_mask: torch.Tensor
-    goal_achieved: torch.Tensor
-    goal_proprio: torch.Tensor
-    goal_images: Mapping[str, torch.Tensor]
-    action: torch.Tensor
-    action_mask: torch.Tensor
-    steps_to_goal: torch.Tensor
-    keypoints: Mapping[str, torch.Tensor] = field(default_factory=dict)
-    goal_keypoints: Mapping[str, torch.Tensor] = field(default_factory=dict)
-
-    def __len__(self) -> int:
-        """B."""
-        return len(self.action)
-
-    def to(self, device: torch.device | str) -> Self:
-        """The same batch on another device."""
-
-        def move(value: torch.Tensor | Mapping[str, torch.Tensor]) -> Any:
-            if isinstance(value, Mapping):
-                return {camera: frames.to(device, non_blocking=True) for camera, frames in value.items()}
-            return value.to(device, non_blocking=True)
-
-        return type(self)(**{entry.name: move(getattr(self, entry.name)) for entry in dataclasses.fields(self)})
-
-
-@dataclass(frozen=True)
-class Statistics:
-    """Of one stored array, each (D,) float32; std is 1 where a dimension does not vary."""
-
-    mean: Array
-    std: Array
-    min: Array
-    max: Array
-    q01: Array
-    q99: Array
 
 
 @dataclass(frozen=True)
 class DataConfig:
     """How examples are cut from play.
 
-    goals: the goal sampler. settling: what a settled moment is. goal_names: shell-style patterns of the achieved
-        dimensions that a goal speaks of; what else changes settles nothing and is not balanced.
-    history: observations a policy sees (T).
-    chunk: actions it predicts (H). cameras, goal_cameras: what is looked through, now and for the goal.
-    val_fraction: of the episodes, never trained on (or, above 0, those that an import's own mask holds out).
-    mask_after_goal: actions past the goal teach nothing.
-    balance: 0 draws steps as they come; 1 draws each kind of change (which groups of the achieved goal
-        change next) equally often; between them, in proportion to count ** (1 - balance).
-    failures: the share that is kept of the examples whose attempt (see `relabel.failures`) is yet to fail: even a
-        failure shows how to get to somewhere. Always the same ones, however much play there is.
-    stray: a chunk ends with the first step at which what was executed strayed from its label by more
-        than this in some dimension (a mistake, a pause, a slip): the labels after it answer to another
-        world than the one that executing the labels would have led to.
-    labels: `actions`, what was done next; `change`, how the world will differ at the next settled moment, in place of
-        actions and as a chunk of 1: what a policy learns that proposes subgoals. detours: False: of changes only those
-        count after which fewer things differ from the goal; play wanders, and a proposer would wander with it.
+    goals: the goal sampler.
+    settling: when the achieved goal counts as settled.
+    goal_names: shell-style patterns of the achieved dimensions that a goal covers; what else changes is neither a
+        settled moment nor balanced. A run takes it from the policy's encoder.
+    history: observations that a policy reads, the present one included (T). A run takes it from the policy.
+    chunk: actions that a policy predicts (H). A run takes it from the policy.
+    cameras: whose images an observation holds. A run takes them from the policy's encoder.
+    goal_cameras: whose images a goal holds. A run takes them from the policy's encoder.
+    val_fraction: fraction of the episodes that is held out and never trained on; above 0, an import's own validation
+        split counts instead where there is one.
+    mask_after_goal: whether labels past the goal are masked.
+    balance: 0 draws each example once an epoch; 1 draws each kind of change (which objects change at the next settled
+        moment) equally often; between them, in proportion to count ** (1 - balance).
+    failure_fraction: fraction that is kept of the examples whose attempt (see `relabeling.failures`) is yet to fail:
+        even a failure shows how to get to somewhere. Always the same ones, however much play there is.
+    max_label_deviation: a chunk ends with the first step at which the executed action differs from its label by more
+        than this in some dimension (a mistake, a pause, a slip): later labels are conditioned on a state that the
+        labeled actions would not have led to, so they are masked.
+    target: `actions`, the recorded labels; `next_settled_delta`, the change of `achieved` up to the next settled
+        moment, as a chunk of 1: what a high-level policy learns, which proposes subgoals.
+    allow_detours: whether a change counts after which no fewer objects differ from the goal (`next_settled_delta`
+        only); play wanders, and so would a policy that learned every change.
     """
 
     goals: GoalSamplerConfig = field(default_factory=SettledConfig)
@@ -131,34 +76,34 @@ class DataConfig:
         return PlayDataset(store, self, split, seed)
 
 
-class PlayDataset:
+class PlayDataset(Examples):
     """Every step of a store's play from which a goal can be drawn; safe to share between threads.
 
-    Numbers of few dimensions are held in memory; images stay in the store and are read as needed.
+    State, `achieved` and actions are held in memory; images stay in the store and are read as needed.
     """
 
     def __init__(self, store: Store, config: DataConfig, split: str = "train", seed: int = 0) -> None:
         """See `DataConfig`.
 
         Raises:
-            StoreError: the store lacks a camera, or holds no step from which a goal can be drawn.
-            UsageError: a setting is out of range.
+            StoreError: the store holds no step from which a goal can be drawn.
+            UsageError: a setting is out of range, or the store lacks a camera.
         """
         _check(config, split)
-        _check_cameras(store, (*config.cameras, *config.goal_cameras))
+        check_cameras(store, (*config.cameras, *config.goal_cameras))
         out = val_mask(store, config.val_fraction)
         self.episodes: Indices = np.flatnonzero(out if split == "val" else ~out)  # (N,) positions in the store
         if len(self.episodes) == 0:
             raise StoreError(f"{store.name()} has no {split} episodes among its {len(store)}: collect more play")
         self.store, self.config, self.seed = store, config, seed
-        learned = np.flatnonzero(~out).tolist()  # by either split, so that both mean the same by a settled moment
-        self.table = RelabelIndex.of_store(store, config.settling, config.goal_names, self.episodes.tolist(), learned)
+        train = np.flatnonzero(~out).tolist()  # thresholds are measured on it for both splits, so that they agree
+        self.table = RelabelIndex.of_store(store, config.settling, config.goal_names, self.episodes.tolist(), train)
         if config.target == "next_settled_delta" and len(self.table.change) == 0:
             raise UsageError(
-                f"data.target: {store.name()} does not say what is achieved, or its settled moments are the robot's; "
+                f"data.target: {store.name()} records no `achieved`, or its settled moments are read from the robot: "
                 "there is no change to learn; leave target at actions"
             )
-        self._spoken = matching(store.spec.achieved_names, config.goal_names)
+        self._goal_dimensions = ObjectLayout(store.spec.achieved_names).select(config.goal_names)
         self.achieved = np.concatenate([store.array(int(i), "achieved") for i in self.episodes])  # (sum T+1, G)
         self.state = np.concatenate([store.array(int(i), "observation.state") for i in self.episodes])
         self.action = np.concatenate([store.array(int(i), "expert_action") for i in self.episodes])  # (sum T, A)
@@ -177,7 +122,6 @@ class PlayDataset:
             )
         self._episode, self._t = episode[usable], t[usable]  # (n,), (n,)
         self._cumulative = self._weights() if config.balance else None
-        self.vary: Variation | None = None  # what makes other examples of some
 
     def __len__(self) -> int:
         """n, the examples of an epoch."""
@@ -193,7 +137,7 @@ class PlayDataset:
         return self._sampler.draw(self.table, self._episode[indices], self._t[indices], uniforms)
 
     def targets(self) -> Array:
-        """(m, A) all that is learned: the recorded labels, or the change ahead of each example."""
+        """(m, A) all targets: the recorded labels, or the change ahead of each example."""
         return self._change(self._episode, self._t) if self.config.target == "next_settled_delta" else self.action
 
     def epoch_indices(self, epoch: int) -> Indices:
@@ -207,18 +151,14 @@ class PlayDataset:
         return rng.permutation(np.minimum(drawn, len(self) - 1))
 
     def probability(self, indices: Indices) -> NDArray[np.float64]:
-        """(n,) how probably each example is drawn."""
+        """(n,) the probability with which each example is drawn."""
         if self._cumulative is None:
             return np.full(len(indices), 1 / len(self))
         return np.asarray(np.diff(self._cumulative, prepend=0.0)[indices], np.float64)
 
     def batch(self, epoch: int | Indices, indices: Indices) -> Batch:
-        """The given examples as they are in an epoch (one for all, or one each), varied where there is what varies."""
+        """The given examples as they are in an epoch (one for all, or one each)."""
         indices = np.asarray(indices, np.int64)
-        return self.recorded(epoch, indices) if self.vary is None else self.vary(self.recorded, epoch, indices)
-
-    def recorded(self, epoch: int | Indices, indices: Indices) -> Batch:
-        """The given examples as they were recorded."""
         episode, t, goal = self._episode[indices], self._t[indices], self.goals(epoch, indices)
         length, config = self.table.lengths[episode], self.config
         past = t[:, None] + np.arange(1 - config.history, 1)  # (B, T)
@@ -235,7 +175,7 @@ class PlayDataset:
         action, counts = self.action.take(targets, axis=0), ahead < limit[:, None]
         if config.target == "next_settled_delta":
             action, counts = self._change(episode, t)[:, None], self._counts(episode, t, goal_row)[:, None]
-        return Batch(  # `take` is up to 20 times as quick as brackets, where rows are short
+        return Batch(  # `take` is up to 20 times as fast as brackets where rows are short
             state=torch.from_numpy(self.state.take(rows, axis=0)),
             achieved=torch.from_numpy(self.achieved.take(rows, axis=0)),
             images={camera: self._frames(camera, episode, seen) for camera in config.cameras},
@@ -247,25 +187,6 @@ class PlayDataset:
             action_mask=torch.from_numpy(counts),
             steps_to_goal=torch.from_numpy(np.where(leads, goal - t, 0)),
         )
-
-    def batches(self, batch_size: int, start_step: int = 0, rank: int = 0, ranks: int = 1) -> Iterator[Batch]:
-        """Batches without end, prepared one ahead in a thread.
-
-        Step s of rank r takes places (s * ranks + r) * batch_size onwards of all epochs laid end to end,
-        so that a resumed run goes on exactly where it stopped. Close the iterator to end the thread.
-        """
-        orders: dict[int, Indices] = {}
-
-        def make(step: int) -> Batch:
-            start = (step * ranks + rank) * batch_size
-            return self.at(np.arange(start, start + batch_size), orders)
-
-        return prepared_ahead(make, start_step)
-
-    def at(self, places: Indices, orders: dict[int, Indices]) -> Batch:
-        """The batch at ascending places of all epochs laid end to end; `orders` keeps the current ones."""
-        epochs, indices = laid_end_to_end(places, len(self), orders, self.epoch_indices)
-        return self.batch(epochs, indices)
 
     def _frames(self, camera: str, episode: Indices, rows: Indices) -> torch.Tensor:
         """(B, k, h, w, 3) uint8 of observations rows (B, k)."""
@@ -286,36 +207,36 @@ class PlayDataset:
         return change
 
     def _counts(self, episode: Indices, t: Indices, goal_row: Indices) -> NDArray[np.bool_]:
-        """(n,) whether the change ahead teaches anything, see `DataConfig.detours`."""
+        """(n,) whether the change ahead counts, see `DataConfig.allow_detours`."""
         if self.config.allow_detours:
             return np.ones(len(t), np.bool_)
         settled = self.table.moments[self.table.following(episode, t)]
         goal = self.achieved[goal_row]
         now, then = (
             self.table.groups_apart(
-                self.achieved[self.table.rows[episode] + at][:, self._spoken], goal[:, self._spoken]
+                self.achieved[self.table.rows[episode] + at][:, self._goal_dimensions], goal[:, self._goal_dimensions]
             )
             for at in (t, settled)
         )
         return np.asarray(then.sum(axis=1) < now.sum(axis=1))
 
     def _last_of_chunk(self, executed: Sequence[Array]) -> Indices:
-        """(sum T,) the last step t' >= t whose label still follows from executing the labels from t on."""
-        strayed = np.abs(np.concatenate(executed) - self.action).max(axis=1) > self.config.max_label_deviation
-        steps = np.arange(len(strayed))
-        first = np.minimum.accumulate(np.where(strayed, steps, len(strayed))[::-1])[::-1]  # flat, at or after each
+        """(sum T,) the last step t' >= t whose label is conditioned on what executing the labels from t on leads to."""
+        deviates = np.abs(np.concatenate(executed) - self.action).max(axis=1) > self.config.max_label_deviation
+        steps = np.arange(len(deviates))
+        first = np.minimum.accumulate(np.where(deviates, steps, len(deviates))[::-1])[::-1]  # flat, at or after each
         start = np.repeat(self.table.starts[:-1], self.table.lengths)
         return np.asarray(first - start, np.int64)  # may point past the episode, whose end counts then
 
     def _kept(self, t: Indices) -> NDArray[np.bool_]:
-        """(sum T,) all steps but the failing ones that `failures` leaves out."""
+        """(sum T,) all steps but the failing ones that `failure_fraction` leaves out."""
         if self.config.failure_fraction >= 1:
             return np.ones(len(t), np.bool_)
         episodes = self.episodes.tolist()
         failing = [leads_to_failure(self.store.array(i, "skill"), self.store.meta(i).skills) for i in episodes]
         recorded = np.repeat(self.store.indices()[self.episodes], self.table.lengths)
-        lucky = counter_uniforms(0, recorded, t, 1)[:, 0] < self.config.failure_fraction
-        return np.asarray(lucky | ~np.concatenate(failing))
+        drawn = counter_uniforms(0, recorded, t, 1)[:, 0] < self.config.failure_fraction
+        return np.asarray(drawn | ~np.concatenate(failing))
 
     def _weights(self) -> NDArray[np.float64]:
         """(n,) the running sum of the examples' probabilities under `balance`."""
@@ -329,62 +250,17 @@ class PlayDataset:
         return np.asarray(np.cumsum(weights / weights.sum()), np.float64)
 
 
-def laid_end_to_end(
-    places: Indices, size: int, orders: dict[int, Indices], order: Callable[[int], Indices]
-) -> tuple[Indices, Indices]:
-    """The epoch, and the index in it, of ascending places of all epochs of `size` examples laid end to end.
-
-    order: epoch -> (size,) its indices in their order; `orders` keeps those of the current epochs.
-    """
-    epochs = places // size
-    current = np.unique(epochs).tolist()
-    for epoch in set(orders) - set(current):
-        del orders[epoch]
-    for epoch in set(current) - set(orders):
-        orders[epoch] = order(epoch)
-    return epochs, np.concatenate([orders[epoch][places[epochs == epoch] % size] for epoch in current])
-
-
-def statistics(dataset: PlayDataset) -> dict[str, Statistics]:
-    """Of `state`, `achieved` and `action` over every recorded row of the dataset's episodes.
-
-    A change is measured by the spread of what changes: its own would be next to nothing where change is rare.
-    """
-    made = {name: _statistics(getattr(dataset, name)) for name in ("state", "achieved", "action")}
-    if dataset.config.target == "next_settled_delta":
-        made["action"] = dataclasses.replace(made["achieved"], mean=np.zeros_like(made["achieved"].mean))
-    return made
-
-
-def _statistics(rows: Array) -> Statistics:
-    low, high = rows.min(axis=0), rows.max(axis=0)
-    std = rows.std(axis=0, dtype=np.float64)
-    q01, q99 = np.quantile(rows, (0.01, 0.99), axis=0)
-    constant = (high - low) < 1e-6 * np.maximum(1.0, np.abs(high))
-    parts = rows.mean(axis=0, dtype=np.float64), np.where(constant, 1.0, std), low, high, q01, q99
-    return Statistics(*(np.asarray(part, np.float32) for part in parts))
-
-
 def _check(config: DataConfig, split: str) -> None:
     if split not in ("train", "val"):
-        raise UsageError(f"split must be train or heldout, got {split!r}")
+        raise UsageError(f"split must be train or val, got {split!r}")
     for name, value in {"history": config.history, "chunk": config.chunk}.items():
         if value < 1:
             raise UsageError(f"data.{name} must be at least 1, got {value}")
     if config.target == "next_settled_delta" and config.chunk != 1:
         raise UsageError(f"data.target: a change is one label, so set policy.chunk to 1 (it is {config.chunk})")
     if not config.max_label_deviation > 0:
-        raise UsageError(f"data.stray must be above 0, got {config.max_label_deviation}")
+        raise UsageError(f"data.max_label_deviation must be above 0, got {config.max_label_deviation}")
     for name in ("val_fraction", "balance", "failure_fraction"):
-        share = getattr(config, name)
-        if not 0 <= share <= 1:
-            raise UsageError(f"data.{name} must lie between 0 and 1, got {share}")
-
-
-def _check_cameras(store: Store, wanted: Sequence[str]) -> None:
-    missing = sorted(set(wanted) - set(store.cameras()))
-    if missing:
-        there = ", ".join(f"{camera} {h}x{w}" for camera, (h, w) in store.cameras().items()) or "none"
-        raise StoreError(
-            f"{store.name()} has no images of {', '.join(missing)} (it has: {there}): draw them with `playlearn render`"
-        )
+        fraction = getattr(config, name)
+        if not 0 <= fraction <= 1:
+            raise UsageError(f"data.{name} must lie between 0 and 1, got {fraction}")

@@ -1,4 +1,4 @@
-"""Several datasets in one stream of batches, each with its share; as pure a function of (seed, step) as each is."""
+"""Several datasets in one stream of batches, each with its fraction; a pure function of (seed, step)."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,17 +9,21 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
-from playlearn.data.dataset import Batch, DataConfig, Indices, PlayDataset
+from playlearn.batch import Batch
+from playlearn.data.dataset import DataConfig, PlayDataset
 from playlearn.data.prefetch import prepared_ahead
+from playlearn.data.stream import Indices
 from playlearn.errors import UsageError
 from playlearn.store import Store, StoreConfig, open_store
 
 
 @dataclass(frozen=True)
 class DatasetSource:
-    """More play beside a run's own: what DAgger's rounds gathered, for one.
+    """More play beside a run's own, such as DAgger's rollouts.
 
-    share: of all examples shown. data: how examples are cut from it (null: as from the run's own play).
+    store: the play, as in TrainConfig.
+    fraction: of all examples.
+    data: how examples are cut from it (null: as from the run's own play).
     """
 
     store: Path | StoreConfig
@@ -27,56 +31,60 @@ class DatasetSource:
     data: DataConfig | None = None
 
     def __post_init__(self) -> None:
-        """Raises UsageError where the share leaves nothing to one side."""
+        """Raises UsageError where the fraction leaves nothing to one side."""
         if not 0 < self.fraction < 1:
-            raise UsageError(f"fraction must lie between 0 and 1, both left out, got {self.fraction:g}")
+            raise UsageError(f"fraction must lie between 0 and 1, both excluded, got {self.fraction:g}")
 
 
-def mix_datasets(
-    own: PlayDataset, sources: Sequence[DatasetSource], seed: int, parts: Sequence[tuple["Part", float]] = ()
-) -> "PlayDataset | DatasetMixture":
-    """What a run is shown: its own play alone, or with the training part of further stores.
+def build_sources(own: PlayDataset, sources: Sequence[DatasetSource], seed: int) -> list[tuple[PlayDataset, float]]:
+    """The training split of each further store, with its fraction of all examples.
 
-    parts: further examples, with their shares.
+    own: the run's own play; its config is that of a source without one.
 
     Raises:
-        UsageError: the shares leave nothing to the run's own play; a store's numbers or pictures mean something else.
+        UsageError: the fractions leave nothing to `own`; a store's numbers or images mean something else.
         StoreError: a store is missing, or holds nothing to learn from.
     """
-    extra = list(parts)
+    built = []
     for number, source in enumerate(sources, 1):
         store = open_store(source.store)
         _check_same(own, store)
-        extra.append(((source.data or own.config).build(store, "train", seed + number), source.fraction))
+        built.append(((source.data or own.config).build(store, "train", seed + number), source.fraction))
+    _check_fractions([source.fraction for source in sources])
+    return built
+
+
+def mix_datasets[P: "Part"](own: P, extra: Sequence[tuple["Part", float]]) -> "P | DatasetMixture":
+    """The examples of a run: its own play, or a mixture with further examples, each with its fraction.
+
+    Raises:
+        UsageError: the fractions leave nothing to `own`.
+    """
     return DatasetMixture(own, extra) if extra else own
 
 
 class Part(Protocol):
-    """Examples that can be dealt out."""
+    """Examples that make up a run or a part of one, see `Examples`."""
 
-    def at(self, places: Indices, orders: dict[int, Indices]) -> Batch:
-        """See `PlayDataset.at`."""
-        ...
+    def at(self, places: Indices, orders: dict[int, Indices]) -> Batch: ...
+    def batches(self, batch_size: int, start_step: int = 0, rank: int = 0, ranks: int = 1) -> Iterator[Batch]: ...
 
 
 class DatasetMixture:
-    """Datasets with shares, batches as `PlayDataset.batches` gives them.
+    """Datasets with fractions, in batches as `Examples.batches` gives them.
 
-    Places of the common stream are dealt out evenly, not drawn: of any n places in a row a part gets its share
-    to within one or two, and walks through its own epochs at its own pace.
+    Places of the common stream are dealt out evenly, not drawn: of any n places in a row a part gets its fraction to
+    within one or two. Each part goes through its own epochs at its own pace.
     """
 
     def __init__(self, own: Part, extra: Sequence[tuple[Part, float]]) -> None:
-        """own: gets what the shares of the others leave.
+        """own: gets what the fractions of the others leave.
 
         Raises:
             UsageError: they leave nothing.
         """
         fractions = [fraction for _, fraction in extra]
-        if sum(fractions) >= 1:
-            raise UsageError(
-                f"the shares of further play add up to {sum(fractions):g}: leave some of 1 to the run's own"
-            )
+        _check_fractions(fractions)
         self.parts = [*(part for part, _ in extra), own]
         left = 1.0 - np.concatenate([[0.0], np.cumsum(fractions)])
         self._of_rest = [fraction / rest for fraction, rest in zip(fractions, left[:-1].tolist(), strict=True)]
@@ -92,7 +100,7 @@ class DatasetMixture:
         return [*dealt, left]
 
     def batches(self, batch_size: int, start_step: int = 0, rank: int = 0, ranks: int = 1) -> Iterator[Batch]:
-        """See `PlayDataset.batches`."""
+        """See `Examples.batches`."""
         orders: list[dict[int, Indices]] = [{} for _ in self.parts]
 
         def make(step: int) -> Batch:
@@ -112,7 +120,7 @@ def joined(batches: Sequence[Batch]) -> Batch:
         return {camera: torch.cat(filled([value.get(camera) for value in values])) for camera in cameras}
 
     def filled(parts: list[torch.Tensor | None]) -> list[torch.Tensor]:
-        """Keypoints that a part does not know are NaN."""
+        """Keypoints that a part lacks are NaN."""
         known = next(part for part in parts if part is not None)
         return [
             known.new_full((len(batch), *known.shape[1:]), torch.nan) if part is None else part
@@ -121,6 +129,14 @@ def joined(batches: Sequence[Batch]) -> Batch:
 
     names = [entry.name for entry in dataclasses.fields(Batch)]
     return Batch(**{name: join([getattr(batch, name) for batch in batches]) for name in names})
+
+
+def _check_fractions(fractions: Sequence[float]) -> None:
+    """Raises UsageError where they leave nothing to the run's own play."""
+    if sum(fractions) >= 1:
+        raise UsageError(
+            f"the fractions of further play add up to {sum(fractions):g}: leave some of 1 to the run's own"
+        )
 
 
 def _check_same(own: PlayDataset, other: Store) -> None:
@@ -137,7 +153,7 @@ def _check_same(own: PlayDataset, other: Store) -> None:
 
 
 def _differ(mine: Any, its: Any) -> str:
-    """Of two lists of names what only one of them has; of anything else both."""
+    """Of two lists of names, what only one of them has; of anything else, both values."""
     if isinstance(mine, tuple) and isinstance(its, tuple) and set(mine) != set(its):
         sides = {"it has": [name for name in its if name not in mine], "it lacks": [n for n in mine if n not in its]}
         return "; ".join(f"{side} {', '.join(map(str, names))}" for side, names in sides.items() if names)

@@ -1,4 +1,4 @@
-"""Things prepared in a thread, ahead of whoever uses them."""
+"""Batches prepared in a thread, ahead of their use."""
 
 import queue
 import threading

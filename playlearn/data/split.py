@@ -8,19 +8,19 @@ from playlearn.store import Store
 
 
 def val_mask(store: Store, fraction: float) -> NDArray[np.bool_]:
-    """(N,) which episodes of a store are held out: those that were recorded as such, else by their numbers."""
+    """(N,) which episodes of a store are held out: as their metadata fixes it, else by their numbers."""
     by_number = val_episodes(store.indices(), fraction)
     if fraction <= 0:
         return by_number
-    said = np.array([store.meta(i).split for i in range(len(store))], np.str_)
-    return np.asarray(np.where(said == "", by_number, said == "val"), np.bool_)
+    recorded = np.array([store.meta(i).split for i in range(len(store))], np.str_)
+    return np.asarray(np.where(recorded == "", by_number, recorded == "val"), np.bool_)
 
 
 def val_episodes(indices: NDArray[np.int64], fraction: float) -> NDArray[np.bool_]:
     """(N,) which episodes are held out, by the numbers they were recorded under.
 
-    Of every 1 / share consecutive numbers one is held out, in the first such block number 0, so that
-    more play never moves an episode from one side to the other, whatever is trained or evaluated.
+    Of every 1 / fraction consecutive numbers one is held out, in the first such block number 0, so that more play never
+    moves an episode from one split to the other.
     """
     if fraction <= 0:
         return np.zeros(len(indices), np.bool_)

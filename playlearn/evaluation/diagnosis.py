@@ -297,7 +297,7 @@ def action_errors(run: Path) -> Row:
     errors: dict[str, list[float]] = {}
     drawn = np.random.default_rng(0).permutation(len(dataset))[:EXAMPLES]
     for part in np.array_split(drawn, max(1, len(drawn) // 256)):
-        batch = dataset.recorded(0, part)
+        batch = dataset.batch(0, part)
         off = (policy.act(batch, torch.Generator().manual_seed(0)) - batch.action)[:, 0].abs().mean(dim=1)
         for error, i, t in zip(off.tolist(), *dataset.where(part), strict=True):
             skill = store.array(int(i), "skill")[t]

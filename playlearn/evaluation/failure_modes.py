@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from playlearn.episode import Array
-from playlearn.evaluation.objects import misplaced, things
+from playlearn.evaluation.objects import misplaced
+from playlearn.layout import ObjectLayout
 from playlearn.relabeling import SettlingConfig
 from playlearn.relabeling.robot import RobotConfig
 from playlearn.relabeling.settling import thresholds
@@ -85,7 +86,7 @@ def classify_failure(
     is to be done by a grasp, so that it can fail as one.
     """
     names = env.spec.achieved_names
-    own = things(names)
+    own = ObjectLayout(names).objects()
     change = thresholds(config.settling.change, names, "change")
     start, final = achieved[0].astype(np.float64), achieved[-1].astype(np.float64)
     goal = goal.astype(np.float64)
@@ -134,14 +135,14 @@ def by_grasp(env: Environment, achieved: Array, proprio: Array, goal: Array, con
     """Whether in this attempt, a successful one, something that was to be moved went with the closed gripper."""
     names = env.spec.achieved_names
     change = thresholds(config.settling.change, names, "change")
-    hand, own = _Hand.of(env, proprio, config), things(names)
+    hand, own = _Hand.of(env, proprio, config), ObjectLayout(names).objects()
     meant = _meant(env, achieved[0].astype(np.float64), goal.astype(np.float64), change)
     return any(grasp.followed for thing in meant for grasp in hand.grasps(achieved, names, own[thing], change))
 
 
 def _meant(env: Environment, start: Array, goal: Array, change: Array) -> set[str]:
     """The things that the goal shows elsewhere."""
-    own = things(env.spec.achieved_names)
+    own = ObjectLayout(env.spec.achieved_names).objects()
     return {thing for thing, k in own.items() if (np.abs(goal - start)[k] > change[k]).any()} | set(
         misplaced(env, start, goal)
     )
@@ -175,14 +176,15 @@ class _Hand:
         names = env.spec.state_names
         gripper, arm = config.robot.columns(names)
         opening = proprio[:, gripper[0]].astype(np.float64) if gripper else np.zeros(len(proprio))
-        axes = tuple(names[k].rpartition(".")[2] for k in arm)
+        axes = ObjectLayout([names[k] for k in arm]).quantities
         opens = max(config.opens, np.ptp(opening) / 4)
         closings = tuple(_closings(opening.tolist(), opens))
         return cls(proprio[:, arm].astype(np.float64), axes, opening, closings, env.spec.fps, config.reach)
 
     def _beside(self, achieved: Array, names: Sequence[str], columns: Sequence[int]) -> tuple[Array, Array] | None:
         """(T+1, d) of the hand and of the thing along the axes that both have; None where there are none."""
-        shared = [(self.axes.index(axis), k) for k in columns if (axis := names[k].rpartition(".")[2]) in self.axes]
+        axes = ObjectLayout(names).quantities
+        shared = [(self.axes.index(axes[k]), k) for k in columns if axes[k] in self.axes]
         if not shared:
             return None
         mine, its = zip(*shared, strict=True)
@@ -199,7 +201,8 @@ class _Hand:
         if both is None:
             return []
         hand, thing = both
-        moves = max(change[k] for k in columns if names[k].rpartition(".")[2] in self.axes)
+        axes = ObjectLayout(names).quantities
+        moves = max(change[k] for k in columns if axes[k] in self.axes)
         found = []
         for begin, end in self.closings:
             closing = slice(max(0, begin - 1), min(end, begin + round(self.fps / 4)) + 1)

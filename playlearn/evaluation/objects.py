@@ -1,17 +1,10 @@
 """What a goal speaks of, thing by thing: the parts of `achieved` that share a name, `red` of `red.x` and `red.y`."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from playlearn.episode import Array
+from playlearn.layout import ObjectLayout
 from playlearn.sim.environment import Environment
-
-
-def things(names: Sequence[str]) -> dict[str, list[int]]:
-    """Thing -> the columns of `achieved` that are its own, in order."""
-    owners = [name.split(".")[0] for name in names]
-    return {owner: [k for k, other in enumerate(owners) if other == owner] for owner in dict.fromkeys(owners)}
 
 
 def misplaced(environment: Environment, achieved: Array, goal: Array, tolerances: float = 1.0) -> list[str]:
@@ -20,7 +13,7 @@ def misplaced(environment: Environment, achieved: Array, goal: Array, tolerances
     tolerances: how many of the environment's own they may be off.
     """
     found = []
-    for thing, columns in things(environment.spec.achieved_names).items():
+    for thing, columns in ObjectLayout(environment.spec.achieved_names).objects().items():
         only = np.array(goal)
         only[columns] += (achieved[columns] - goal[columns]) / tolerances
         if not environment.reached(only, goal):

@@ -17,12 +17,12 @@ import numpy as np
 import torch
 import yaml
 
+from playlearn.batch import Inputs
 from playlearn.config import atomic_write, git_revision, load_config, save_config, to_dict, versions
 from playlearn.errors import NotLearnedError, PlaylearnError, UsageError
 from playlearn.evaluation import evaluate
 from playlearn.executor import Job, LocalExecutorConfig
 from playlearn.policies import Policy
-from playlearn.policies.inputs import Inputs
 from playlearn.report.compared import plot, table
 from playlearn.report.intervals import wilson
 from playlearn.report.progress import Progress

@@ -16,7 +16,6 @@ from playlearn.config import from_dict, load_config
 from playlearn.episode import IMAGES
 from playlearn.errors import UsageError
 from playlearn.policies import PolicyConfig, PolicySpec
-from playlearn.policies.policy import spec_from_dict
 from playlearn.training import TrainConfig
 
 STATE, ACHIEVED, GOAL = "observation.state", "observation.environment_state", "observation.goal.state"
@@ -53,7 +52,7 @@ class PlaylearnConfig(PreTrainedConfig):  # type: ignore[misc]
 
     def spec(self) -> PolicySpec | None:
         """The world it was made for; None where that is not known yet."""
-        return None if self.built is None else spec_from_dict(json.loads(self.built)["spec"])
+        return None if self.built is None else PolicySpec.from_dict(json.loads(self.built)["spec"])
 
     def validate_features(self) -> None:
         """Raises UsageError where there is no goal among the inputs."""

@@ -6,7 +6,7 @@ It acts as it does under `playlearn eval`, through the same actor; what it is sh
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -14,19 +14,13 @@ import torch
 from lerobot.policies.pretrained import PreTrainedPolicy
 from torch import Tensor
 
+from playlearn.batch import Batch, Inputs, Statistics
 from playlearn.config import to_dict
-from playlearn.data import Batch
 from playlearn.episode import IMAGES, Array, Goal, Observation
 from playlearn.errors import UsageError
 from playlearn.lerobot.configuration_playlearn import ACHIEVED, GOAL, GOAL_IMAGES, STATE, PlaylearnConfig
 from playlearn.policies import Policy, PolicySpec
 from playlearn.policies.execution import PolicyActor
-from playlearn.policies.inputs import Inputs
-
-
-class _Spread(NamedTuple):
-    mean: Array
-    std: Array
 
 
 class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
@@ -140,11 +134,11 @@ def _fresh(config: PlaylearnConfig, stats: Mapping[str, Any] | None, meta: Any) 
     )
     widths = {"state": (STATE, len(spec.state_names)), "achieved": (ACHIEVED, told), "action": ("action", None)}
     spread = {
-        part: _Spread(*(np.asarray(stats[key][name], np.float32)[:width] for name in ("mean", "std")))
+        part: Statistics(*(np.asarray(stats[key][name], np.float32)[:width] for name in ("mean", "std")))
         for part, (key, width) in widths.items()
         if key in stats
     }
-    spread.setdefault("achieved", _Spread(np.zeros(0, np.float32), np.ones(0, np.float32)))
+    spread.setdefault("achieved", Statistics(np.zeros(0, np.float32), np.ones(0, np.float32)))
     policy = config.policy().build(spec, spread, config.seed)
     policy.fit_action_statistics(torch.from_numpy(_labels(meta)))
     return policy

@@ -11,13 +11,13 @@ import numpy as np
 import torch
 
 import playlearn.envs  # noqa: F401 - registers the environments
+from playlearn.batch import Inputs
 from playlearn.config import from_dict
 from playlearn.episode import Array, Observation
 from playlearn.errors import CheckpointError
 from playlearn.executor import Job, LocalExecutorConfig
 from playlearn.perceived.config import PerceivedConfig
 from playlearn.policies import Policy
-from playlearn.policies.inputs import Inputs
 from playlearn.policies.policy import WEIGHTS
 from playlearn.report.progress import Progress
 from playlearn.sim import Environment, EnvironmentConfig

@@ -6,14 +6,15 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from playlearn.data import Batch, Indices, PlayDataset, Recorded
+from playlearn.batch import Batch
+from playlearn.data import Indices, PlayDataset, Recorded
 from playlearn.episode import Array
 from playlearn.store import episode_path
 from playlearn.store.tensors import map_tensors, read_header
 
 
 class Perceived:
-    """What `make_perceived` left in a folder, as variants of a dataset's examples (`PlayDataset.vary`)."""
+    """What `make_perceived` left in a folder, as the augmentation of a dataset."""
 
     def __init__(self, folder: Path, dataset: PlayDataset) -> None:
         """Raises StoreError: a file is missing or damaged."""

@@ -3,19 +3,16 @@
 from playlearn.policies.encoders import EncoderConfig
 from playlearn.policies.execution import PolicyActor
 from playlearn.policies.heads import HeadConfig
-from playlearn.policies.inputs import Inputs, PolicySpec
-from playlearn.policies.normalize import Statistics
 from playlearn.policies.policy import Policy, PolicyConfig
+from playlearn.policies.spec import PolicySpec
 from playlearn.policies.trunks import TrunkConfig
 
 __all__ = [
     "EncoderConfig",
     "HeadConfig",
-    "Inputs",
     "Policy",
     "PolicyActor",
     "PolicyConfig",
     "PolicySpec",
-    "Statistics",
     "TrunkConfig",
 ]

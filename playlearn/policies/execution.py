@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from playlearn.batch import Inputs
 from playlearn.episode import Array, Decision, Goal, Observation
 from playlearn.errors import UsageError
-from playlearn.policies.inputs import Inputs
 from playlearn.policies.policy import Policy
 
 
@@ -18,9 +18,14 @@ from playlearn.policies.policy import Policy
 class _Row:
     """What is remembered of one environment.
 
-    plans: (moment planned at, chunk (H, A)), newest last. planned: how many there were. luck: the generator's
-    state when it was last drawn from afresh. history: what was seen when it planned, or at every step where the policy
-    remembers. running: whether it still acts.
+    goal: what is to be reached.
+    generator: of the noise of its plans.
+    history: the observations at which it planned, or every one where the policy reads a history.
+    plans: (step planned at, chunk (H, A)), newest last.
+    moment: the present step.
+    planned: how many plans there were.
+    rng_state: generator state before the latest draw; restored to reuse the same noise.
+    running: whether it still acts.
     """
 
     goal: Goal
@@ -33,11 +38,11 @@ class _Row:
     running: bool = True
 
     def due(self, n_action_steps: int) -> bool:
-        """Whether the next step, number `moment + 1`, is to be planned for."""
+        """Whether the next step, `moment + 1`, needs a new plan."""
         return self.running and (not self.plans or self.moment + 1 - self.plans[-1][0] >= n_action_steps)
 
     def ready(self, noise_repeat: int) -> torch.Generator:
-        """The generator for the next plan: as it was before the last one, where that one's luck is to be kept."""
+        """The generator for the next plan; of `noise_repeat` plans in a row, all draw the same noise."""
         if self.rng_state is None or self.planned % noise_repeat == 0:
             self.rng_state = self.generator.get_state()
         else:
@@ -49,14 +54,16 @@ class _Row:
 class PolicyActor:
     """Acts in K environments with one policy (a rollout's Actor).
 
-    n_action_steps: actions of a chunk that are carried out before the next plan (receding horizon).
-    guidance: weight of the goal, see `Policy.act`. ensemble: None, or the rate m of temporal
-    ensembling: a plan at every step, and all plans for a moment averaged with weight exp(-m i), i = 0
-    for the oldest (Zhao et al. 2023); `n_action_steps` is then 1. goal: what of a goal it is shown, where it can
-    read either (None: the policy's first choice).
+    policy: what predicts the chunks.
+    n_action_steps: actions of a chunk that are executed before the next plan (receding horizon).
+    guidance: weight of the goal, see `Policy.act`.
+    ensemble: None, or the rate m of temporal ensembling: a plan at every step, and all plans for a step averaged with
+        weight exp(-m i), i = 0 for the oldest (Zhao et al. 2023); `n_action_steps` is then 1.
+    name: of the actor, in messages and results.
+    goal: whether it reads goal states or goal images, for a policy that reads either (None: the policy's first choice).
 
-    What one environment gets does not depend on the others: each has a generator of its own, and a
-    plan is always computed for all K rows, so that every row sees the same arithmetic.
+    The actions in one environment do not depend on the others: each has its own generator, and a plan is always
+    computed for all K rows, so that the arithmetic of a row is the same.
     """
 
     def __init__(
@@ -86,7 +93,7 @@ class PolicyActor:
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        """None while it only carries out what it has planned, unless it remembers what it saw."""
+        """None while it only executes its plan, unless the policy reads a history."""
         looks = self._remembers or not self._rows or any(row.due(self.n_action_steps) for row in self._rows)
         return self.policy.cameras if looks else ()
 
@@ -98,7 +105,7 @@ class PolicyActor:
         """Begin K episodes; forgets the ones before.
 
         Raises:
-            UsageError: a goal is missing, or lacks the image, or the robot's state, that the policy reads.
+            UsageError: a goal is missing, or lacks the image or the robot's state that the policy reads.
         """
         for goal in goals:
             for camera in self._goal_cameras:
@@ -107,7 +114,9 @@ class PolicyActor:
             if goal is None:
                 raise UsageError(f"{self.name} needs a goal")
             if goal.state is None and self.policy.config.encoder.uses_goal_proprio:
-                raise UsageError(f"{self.name} was taught goals that say where the arm is, and this one does not")
+                raise UsageError(
+                    f"{self.name} was trained on goals with the robot's state (goal_proprio), and this goal has none"
+                )
         steps = self.policy.config.history
         self._rows = [
             _Row(goal, torch.Generator().manual_seed(seed), deque(maxlen=steps))
@@ -116,7 +125,7 @@ class PolicyActor:
         ]
 
     def show(self, row: int, goal: Goal) -> None:
-        """Another goal for one environment, in the middle of its episode; it is planned for at once."""
+        """Change the goal of one environment, in the middle of its episode; the next step plans for it."""
         self._rows[row].goal = goal
         self._rows[row].plans = []
 
@@ -131,17 +140,19 @@ class PolicyActor:
             row.moment += 1
             if plans:
                 due.append(row)
-            if plans or self._remembers or not row.history:  # what it must not look at it may not have seen
+            if plans or self._remembers or not row.history:  # else its images may be missing
                 row.history.append(observation)
         if due:
             self._plan(due)
         return [Decision(action=self._action(row)) for row in self._rows]
 
     def std(self, samples: int, generators: Sequence[torch.Generator]) -> Array:
-        """(K,) how far chunks sampled for what was last seen lie apart: how little the policy knows what to do.
+        """(K,) the standard deviation of chunks sampled for the last observations: how uncertain the policy is.
 
-        The standard deviation over `samples` of them, the mean over what would be executed; 0 for a head that is
-        sure of itself by construction. generators: one an environment, apart from those that it acts by.
+        The mean over the actions that would be executed; 0 for a deterministic head.
+
+        samples: chunks of each environment.
+        generators: one an environment, other than those that it acts by.
         """
         inputs = self._inputs()
         chunks = np.stack([self.policy.act(inputs, generators, self.guidance).numpy() for _ in range(samples)])
@@ -172,11 +183,11 @@ class PolicyActor:
         return mean.astype(np.float32)
 
     def estimate_achieved(self, observations: Sequence[Observation], active: Sequence[bool]) -> Array:
-        """(K, G) what is achieved in each environment, see `Policy.believed`; of inactive ones it means nothing."""
+        """(K, G) what is achieved in each environment, see `Policy.estimate_achieved`; of inactive ones, no meaning."""
         rows = zip(self._rows, observations, active, strict=True)
         seen = [[now] if running or not row.history else [row.history[-1]] for row, now, running in rows]
-        estimate_achieved: Array = self.policy.estimate_achieved(self._inputs(seen)).numpy()
-        return estimate_achieved
+        achieved: Array = self.policy.estimate_achieved(self._inputs(seen)).numpy()
+        return achieved
 
     def _inputs(self, histories: Sequence[Sequence[Observation]] | None = None) -> Inputs:
         """histories: of each environment, newest last (None: what was seen since the reset)."""

@@ -1,13 +1,13 @@
-"""Far goals step by step: a proposer says how the world will differ next, a policy below it brings that about.
+"""Distant goals through subgoals: a high-level policy proposes the next change, a low-level policy executes it.
 
-The proposer is a policy like any other, trained with `data.target: change` on goals several settled moments ahead: of
-the far goal and what is seen it makes the change up to the next settled moment. Its head samples, since what
-is to be done first is often a free choice. After HIQL (Park et al. 2023), whose upper level proposes where to be in k
-steps; the next settled moment is what people would call the next step, and it holds still to be reached.
+The high-level policy is a policy like any other, trained with `data.target: next_settled_delta` on goals several
+settled moments ahead: from the distant goal and the observations it predicts the change of `achieved` up to the next
+settled moment. Its head samples, since the order of changes is often a free choice. After HIQL (Park et al. 2023),
+whose high-level policy proposes the state in k steps; the next settled moment is a more natural subgoal, and it stays
+as it is until it is reached.
 
-What it proposes is a centimeter or two off. So of each thing that it proposes to leave about where it is, or to bring
-about where the far goal has it, exactly that is asked. And where it proposes nothing that is not so already, the worker
-is shown the far goal itself for one plan.
+Proposals are off by 1 to 2 cm, so an object is snapped to its current or goal pose when the proposal lies within
+`NEAR` of it. Where a proposal is reached already, the low-level policy gets the distant goal itself for one plan.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,9 +16,10 @@ import numpy as np
 
 from playlearn.episode import Array, Decision, Goal, Observation
 from playlearn.errors import UsageError
+from playlearn.layout import ObjectLayout
 from playlearn.policies.execution import PolicyActor
 
-NEAR = 0.3  # of a dimension's spread in play: some 4 cm of a block's place on a table
+NEAR = 0.3  # of a dimension's std in play: some 4 cm of a block's position on a table
 
 Reached = Callable[[Array, Array], bool]  # (achieved, goal), each (G,)
 
@@ -26,84 +27,81 @@ Reached = Callable[[Array, Array], bool]  # (achieved, goal), each (G,)
 class SubgoalActor:
     """Acts in K environments through subgoals (a rollout's Actor).
 
-    worker: acts, and reads goals that are states. proposer: plans the next change. reached: when a subgoal is, by
-        what the worker believes is achieved. steps: how long a subgoal stays at most. Both are looked at whenever the
-        worker is to plan anew.
+    low_level: acts, and reads goal states.
+    high_level: predicts the next change.
+    reached: whether a subgoal is reached, given what the low-level policy estimates as achieved.
+    steps: for how many steps a subgoal is kept at most. Checked, as `reached` is, whenever the low-level policy plans.
 
     Raises:
-        UsageError: the worker was taught goals that say where the arm is, which no subgoal does.
+        UsageError: the low-level policy reads goals with the robot's state, which subgoals lack.
     """
 
-    def __init__(self, worker: PolicyActor, proposer: PolicyActor, reached: Reached, steps: int) -> None:
-        if worker.policy.config.encoder.uses_goal_proprio:
+    def __init__(self, low_level: PolicyActor, high_level: PolicyActor, reached: Reached, steps: int) -> None:
+        if low_level.policy.config.encoder.uses_goal_proprio:
             raise UsageError(
-                f"{worker.name} was taught goals that say where the arm is (goal_proprio), and no subgoal does"
+                f"{low_level.name} was trained on goals with the robot's state (goal_proprio), which subgoals lack"
             )
-        self.name = worker.name
-        self._worker, self._proposer, self._reached, self._steps = worker, proposer, reached, steps
+        self.name = low_level.name
+        self._low, self._high, self._reached, self._steps = low_level, high_level, reached, steps
         self._moment = 0
         self._until: list[int] = []
         self._subgoals: list[Array | None] = []
         self._goals: Sequence[Goal | None] = ()
-        names = worker.policy.spec.achieved_names
-        owners = np.array([name.partition(".")[0] for name in names])  # `red.x` is part `x` of thing `red`
-        self._things = [owners == owner for owner in dict.fromkeys(owners.tolist())]
-        self._spread: Array = worker.policy.normalizer.get_buffer("achieved_std").cpu().numpy()
+        self._objects = list(ObjectLayout(low_level.policy.spec.achieved_names).objects().values())
+        self._std: Array = low_level.policy.normalizer.get_buffer("achieved_std").cpu().numpy()
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        """All that either looks through where a subgoal may be due, else what the worker needs."""
-        due = self._moment % self._worker.n_action_steps == 0
-        both = (*self._worker.policy.cameras, *self._proposer.policy.cameras)
-        return tuple(dict.fromkeys(both)) if due else self._worker.cameras
+        """Those of both policies where a subgoal may be due, else what the low-level policy needs."""
+        due = self._moment % self._low.n_action_steps == 0
+        both = (*self._low.policy.cameras, *self._high.policy.cameras)
+        return tuple(dict.fromkeys(both)) if due else self._low.cameras
 
     def reset(self, goals: Sequence[Goal | None], seeds: Sequence[int]) -> None:
-        """Begin K episodes; raises UsageError where a goal lacks what the proposer reads."""
-        self._proposer.reset(goals, [_apart(seed) for seed in seeds])
-        self._worker.reset(goals, seeds)
+        """Begin K episodes; raises UsageError where a goal lacks what the high-level policy reads."""
+        self._high.reset(goals, [_own_seed(seed) for seed in seeds])
+        self._low.reset(goals, seeds)
         self._moment, self._goals = 0, goals
         self._until = [0] * len(goals)
         self._subgoals = [None] * len(goals)
 
     def act(self, observations: Sequence[Observation], active: Sequence[bool]) -> list[Decision]:
         """One decision an environment; those of inactive ones mean nothing."""
-        if self._moment % self._worker.n_action_steps == 0:
+        if self._moment % self._low.n_action_steps == 0:
             self._propose(observations, active)
         self._moment += 1
-        return self._worker.act(observations, active)
+        return self._low.act(observations, active)
 
     def _propose(self, observations: Sequence[Observation], active: Sequence[bool]) -> None:
-        estimate_achieved = self._worker.estimate_achieved(observations, active)
+        achieved = self._low.estimate_achieved(observations, active)
         due = [
             running and (subgoal is None or self._moment >= until or self._reached(now, subgoal))
-            for running, subgoal, until, now in zip(active, self._subgoals, self._until, estimate_achieved, strict=True)
+            for running, subgoal, until, now in zip(active, self._subgoals, self._until, achieved, strict=True)
         ]
         if not any(due):
             return
-        changes = self._proposer.act(observations, due)
+        changes = self._high.act(observations, due)
         for k in np.flatnonzero(due).tolist():
             goal, steps = self._goals[k], self._steps
-            subgoal = self._exact(
-                k, estimate_achieved[k], (estimate_achieved[k] + changes[k].action).astype(np.float32)
-            )
-            if goal is not None and self._proposer.reads == "state" and self._reached(estimate_achieved[k], subgoal):
-                subgoal, steps = goal.achieved, self._worker.n_action_steps
+            subgoal = self._snapped(k, achieved[k], (achieved[k] + changes[k].action).astype(np.float32))
+            if goal is not None and self._high.reads == "state" and self._reached(achieved[k], subgoal):
+                subgoal, steps = goal.achieved, self._low.n_action_steps
             self._subgoals[k], self._until[k] = subgoal, self._moment + steps
-            self._worker.show(k, Goal(subgoal))
+            self._low.show(k, Goal(subgoal))
 
-    def _exact(self, k: int, now: Array, proposed: Array) -> Array:
-        """(G,) the proposal, each thing of it where it is or is to be, whichever is nearer, where that is near."""
+    def _snapped(self, k: int, now: Array, proposed: Array) -> Array:
+        """(G,) the proposal, each object snapped to its current or goal pose, whichever is nearer, if within `NEAR`."""
         goal = self._goals[k]
-        known = [now] if goal is None or self._proposer.reads == "image" else [now, goal.achieved]
-        exact = proposed.copy()
-        for thing in self._things:
-            off = [float(np.max(np.abs(place - proposed)[thing] / self._spread[thing])) for place in known]
+        poses = [now] if goal is None or self._high.reads == "image" else [now, goal.achieved]
+        snapped = proposed.copy()
+        for own in self._objects:
+            off = [float(np.max(np.abs(pose - proposed)[own] / self._std[own])) for pose in poses]
             nearest = int(np.argmin(off))
             if off[nearest] <= NEAR:
-                exact[thing] = known[nearest][thing]
-        return exact
+                snapped[own] = poses[nearest][own]
+        return snapped
 
 
-def _apart(seed: int) -> int:
-    """Luck of the proposer's own, so that the worker's is what it would be without it."""
+def _own_seed(seed: int) -> int:
+    """A seed for the high-level policy, so that the low-level policy draws what it would draw alone."""
     return int(np.random.SeedSequence((seed, 1)).generate_state(1)[0])

@@ -1,44 +1,35 @@
-"""Numbers to zero mean and unit spread and back; the statistics travel with the checkpoint."""
+"""Normalization to zero mean and unit std, and back; the statistics are saved with the checkpoint."""
 
 from collections.abc import Mapping
-from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from playlearn.episode import Array
-
-
-class Statistics(Protocol):
-    """Mean and standard deviation of one vector, each (N,)."""
-
-    @property
-    def mean(self) -> Array: ...
-    @property
-    def std(self) -> Array: ...
+from playlearn.batch import Statistics
+from playlearn.layout import ObjectLayout
 
 
 class Normalizer(nn.Module):
     """Per-dimension (x - mean) / std for `state`, `achieved` and `action`.
 
-    A dimension that hardly varies in the data (std below `floor`) is only shifted: dividing by
-    a tiny spread would blow rounding noise up to the size of a signal. Actions all lie in [-1, 1], so
-    their spreads compare: one that is hardly used (the tilt of a hand that is kept upright) counts as
-    having at least `action_share` of the largest, or it would get as much say in the loss as the rest.
+    A dimension that hardly varies in the data (std below `floor`) is only shifted: dividing by a tiny std would amplify
+    rounding noise to the size of a signal. Actions all lie in [-1, 1], so their stds compare. An action that is hardly
+    used (the tilt of a gripper that stays upright) counts as having at least `min_action_std` times the largest std, or
+    it would weigh as much in the loss as the others.
     """
 
-    def __init__(self, statistics: Mapping[str, Statistics], floor: float = 1e-4, action_share: float = 0.25) -> None:
+    def __init__(self, statistics: Mapping[str, Statistics], floor: float = 1e-4, min_action_std: float = 0.25) -> None:
         super().__init__()
         for name, given in statistics.items():
             std = torch.as_tensor(given.std, dtype=torch.float32).clone()
             if name == "action":
-                std = std.clamp_min(action_share * std.max())
+                std = std.clamp_min(min_action_std * std.max())
             self.register_buffer(f"{name}_mean", torch.as_tensor(given.mean, dtype=torch.float32).clone())
             self.register_buffer(f"{name}_std", torch.where(std < floor, torch.ones_like(std), std))
 
     def normalize(self, name: str, value: Tensor) -> Tensor:
-        """(..., N) in units of the data -> (..., N) of about unit spread."""
+        """(..., N) in units of the data -> (..., N) of about unit std."""
         return (value - self.get_buffer(f"{name}_mean")) / self.get_buffer(f"{name}_std")
 
     def restore(self, name: str, value: Tensor) -> Tensor:
@@ -48,26 +39,21 @@ class Normalizer(nn.Module):
     @classmethod
     def identity(cls, widths: Mapping[str, int]) -> "Normalizer":
         """One that changes nothing: the shapes to load a checkpoint's statistics into."""
-        return cls({name: _Spread(np.zeros(n), np.ones(n)) for name, n in widths.items()})
+        return cls({name: Statistics(np.zeros(n), np.ones(n)) for name, n in widths.items()})
 
 
 def pooled(statistics: Mapping[str, Statistics], names: Mapping[str, tuple[str, ...]]) -> dict[str, Statistics]:
-    """The same, with one mean and spread for all quantities that share a part name (`red.x`, `eef.x`).
+    """The same, with one mean and std for all dimensions of one quantity (`red.x`, `eef.x`).
 
-    Then a difference of two of them means the same distance, whichever two they are.
+    Then a normalized difference of two of them means the same distance, whichever two they are.
     """
-    rows = [(array, i, name.rpartition(".")[2]) for array, own in names.items() for i, name in enumerate(own)]
-    made = {array: _Spread(np.array(given.mean), np.array(given.std)) for array, given in statistics.items()}
+    rows = [(array, i, part) for array, own in names.items() for i, part in enumerate(ObjectLayout(own).quantities)]
+    made = {array: Statistics(np.array(given.mean), np.array(given.std)) for array, given in statistics.items()}
     for part in dict.fromkeys(part for _, _, part in rows):
         own = [(array, i) for array, i, other in rows if other == part]
         means = np.array([statistics[array].mean[i] for array, i in own], float)
-        spreads = np.array([statistics[array].std[i] for array, i in own], float)
+        stds = np.array([statistics[array].std[i] for array, i in own], float)
         for array, i in own:
             made[array].mean[i] = means.mean()
-            made[array].std[i] = np.sqrt((spreads**2 + (means - means.mean()) ** 2).mean())
-    return dict(made)
-
-
-class _Spread(NamedTuple):
-    mean: Array
-    std: Array
+            made[array].std[i] = np.sqrt((stds**2 + (means - means.mean()) ** 2).mean())
+    return made

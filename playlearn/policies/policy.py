@@ -6,38 +6,44 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import torch
 from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
+from playlearn.batch import Batch, Inputs, Statistics
 from playlearn.config import atomic_write, from_dict, to_dict
 from playlearn.errors import CheckpointError, PlaylearnError, UsageError
 from playlearn.policies.encoders import EncoderConfig, StateConfig
 from playlearn.policies.heads import DeterministicConfig, Generators, Guidance, HeadConfig
-from playlearn.policies.inputs import Inputs, Labeled, Named, Observed, PolicySpec
-from playlearn.policies.normalize import Normalizer, Statistics, pooled
+from playlearn.policies.normalize import Normalizer, pooled
+from playlearn.policies.spec import Named, PolicySpec
 from playlearn.policies.trunks import TransformerConfig, TrunkConfig
 
 WEIGHTS, DESCRIPTION = "policy.safetensors", "policy.json"
 FORMAT = 1
 _NOTHING = torch.empty(0)
-_UNTOLD = "this policy cannot tell where things are: train it from images with encoder.state_supervision above 0"
+_NO_ESTIMATES = "this policy makes no pose estimates: train it from images with encoder.state_supervision above 0"
 
 
 @dataclass(frozen=True)
 class PolicyConfig:
-    """history: observations it sees, the present one included. chunk: H, actions predicted at once.
+    """A policy: encoder, trunk and head.
 
-    goal_dropout: share of training examples whose goal is withheld, which makes guidance possible.
-    history_dropout: share whose past observations are hidden, all but the present one; proprio_dropout: share
-    whose robot state is withheld (the mean of the data is shown). Both against copying: a policy that can
-    tell its next action from its last ones, or from how the arm moves, need not look at the goal
-    (de Haan et al. 2019).
+    encoder: turns observations and goal into tokens.
+    trunk: the sequence model over the tokens.
+    head: the distribution over action chunks.
+    history: observations it reads, the present one included (T).
+    chunk: actions predicted at once (H).
+    goal_dropout: fraction of training examples without a goal, which makes guidance possible.
+    history_dropout: fraction of training examples whose past observations are masked, all but the present one.
+    proprio_dropout: fraction of training examples whose robot state is replaced by the mean of the data.
+
+    The last two are against copycat policies: one that can infer its next action from its last ones, or from how the
+    arm moves, need not look at the goal (de Haan et al. 2019).
 
     Raises:
-        UsageError: a share does not lie between 0 and 1.
+        UsageError: a fraction does not lie between 0 and 1.
     """
 
     encoder: EncoderConfig = field(default_factory=StateConfig)
@@ -52,14 +58,15 @@ class PolicyConfig:
     def __post_init__(self) -> None:
         for name in ("goal_dropout", "history_dropout", "proprio_dropout"):
             if not 0 <= getattr(self, name) <= 1:
-                raise UsageError(f"policy.{name} is a share of the examples, 0 to 1: got {getattr(self, name)}")
+                raise UsageError(f"policy.{name} is a fraction of the examples, 0 to 1: got {getattr(self, name)}")
 
     def build(
         self, spec: PolicySpec, statistics: Mapping[str, Statistics] | None, seed: int, *, fetch: bool = True
     ) -> "Policy":
-        """A fresh policy; the seed decides its weights, and global random state is left as it was.
+        """A fresh policy; the seed decides its weights, and the global random state stays as it is.
 
         statistics: of `state`, `achieved` and `action`; None for a policy whose weights are loaded next.
+        fetch: whether weights may be downloaded, if the config asks for any.
 
         Raises:
             UsageError: the config asks for a camera or goal dimension that `spec` does not have.
@@ -74,7 +81,7 @@ class PolicyConfig:
 
 
 class Policy(nn.Module):
-    """Goal-conditioned chunks of actions. Built by `PolicyConfig.build` or `Policy.load`."""
+    """Goal-conditioned action chunks. Built by `PolicyConfig.build` or `Policy.load`."""
 
     def __init__(
         self, config: PolicyConfig, spec: PolicySpec, statistics: Mapping[str, Statistics] | None, *, fetch: bool
@@ -90,9 +97,9 @@ class Policy(nn.Module):
             self.normalizer = Normalizer.identity(widths)
         else:
             names = {"state": spec.state_names, "achieved": spec.achieved_names}
-            # one that is hardly used must not count as much as the others; of what changes, all counts alike
-            share = {} if spec.clipped else {"action_share": 0.0}
-            self.normalizer = Normalizer(pooled(statistics, names), **share)
+            # an action that hardly varies must not weigh as much as the others; of a change, all weigh the same
+            least = {} if spec.clipped else {"min_action_std": 0.0}
+            self.normalizer = Normalizer(pooled(statistics, names), **least)
         width = config.trunk.width
         self.encoder = config.encoder.build(spec, width, fetch=fetch)
         self.trunk = config.trunk.build(self.encoder.goal_tokens + config.history * self.encoder.step_tokens)
@@ -100,7 +107,7 @@ class Policy(nn.Module):
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        """The cameras it must see, those of the goal included."""
+        """The cameras it needs, those of the goal included."""
         encoder = self.config.encoder
         return tuple(dict.fromkeys((*encoder.observation_cameras, *encoder.goal_cameras)))
 
@@ -109,86 +116,90 @@ class Policy(nn.Module):
         return next(self.parameters()).device
 
     def fit_action_statistics(self, actions: Tensor) -> None:
-        """Let the head look at the training data's actions (n, A), before the first update."""
+        """Fit what the head needs to know of the training data's actions (n, A), before the first update."""
         self.head.fit_action_statistics(self.normalizer.normalize("action", actions).unsqueeze(1))
 
     def load_from(self, other: "Policy", source: Path) -> None:
-        """Take over all of another policy, which may differ in its encoder alone; source: its run.
+        """Load all parameters of another policy, which may differ in its encoder alone; source: its run.
 
         Raises:
-            UsageError: it differs in more, or something of its encoder has no place here.
+            UsageError: it differs in more, or a parameter of its encoder does not exist here.
         """
         own, given = self.state_dict(), other.state_dict()
-        apart = {entry.name for entry in fields(PolicyConfig) if entry.name != "encoder"}
-        apart = {name for name in apart if getattr(self.config, name) != getattr(other.config, name)}
-        placed = all(own.get(name, _NOTHING).shape == value.shape for name, value in given.items())
-        if not placed or self.config.encoder.goal_names != other.config.encoder.goal_names:
-            apart.add("encoder")
+        differ = {entry.name for entry in fields(PolicyConfig) if entry.name != "encoder"}
+        differ = {name for name in differ if getattr(self.config, name) != getattr(other.config, name)}
+        fits = all(own.get(name, _NOTHING).shape == value.shape for name, value in given.items())
+        if not fits or self.config.encoder.goal_names != other.config.encoder.goal_names:
+            differ.add("encoder")
         if self.spec.predicts != other.spec.predicts:
-            apart.add("sort of labels")
-        if apart:
+            differ.add("target")
+        if differ:
             raise UsageError(
-                f"init: the policy of {source} has another {' and '.join(sorted(apart))}: give its own `policy` block; "
-                "eyes for a policy of states need its `hidden`, and use_estimated_state: true"
+                f"init_from: the policy of {source} has another {' and '.join(sorted(differ))}: copy the `policy` "
+                "block of that run; to start an image policy from a state policy, match encoder.hidden and set "
+                "use_estimated_state: true"
             )
         self.load_state_dict(own | given)
 
-    def behind(self, seeing: "Policy", source: Path) -> "Policy":
-        """A state policy, this one, behind the image encoder of another one, whose run is `source`, ready to act.
+    def behind(self, other: "Policy", source: Path) -> "Policy":
+        """A copy of this state policy behind the image encoder of another policy, ready to act.
+
+        other: the policy with the image encoder.
+        source: its run.
 
         Raises:
-            UsageError: the two do not fit together, or their numbers are scaled differently.
+            UsageError: the two do not fit together, or are normalized differently.
         """
-        joined = seeing.config.build(seeing.spec, None, seed=0, fetch=False)
-        joined.load_state_dict(seeing.state_dict())
-        mine, its = (part.normalizer.state_dict() for part in (self, seeing))
+        joined = other.config.build(other.spec, None, seed=0, fetch=False)
+        joined.load_state_dict(other.state_dict())
+        mine, its = (part.normalizer.state_dict() for part in (self, other))
         if any(not torch.equal(mine[name], its[name]) for name in mine):
             raise UsageError(f"the image encoder of {source} learned from other play: train both on the same store")
         joined.load_from(self, source)
         return joined.to(self.device).eval()
 
     def freeze_except(self, patterns: Sequence[str]) -> list[nn.Parameter]:
-        """The parameters that some shell-style pattern names; all others are frozen.
+        """The parameters that match some shell-style pattern; all others are frozen.
 
         Raises:
-            UsageError: a pattern names none.
+            UsageError: a pattern matches none.
         """
         named = dict(self.named_parameters())
         for pattern in patterns:
             if not fnmatch.filter(named, pattern):
                 there = sorted({".".join(name.split(".")[:2]) + ".*" for name in named})
-                raise UsageError(f"learn: {pattern!r} names no parameter; there are {', '.join(there)}")
+                raise UsageError(f"trainable: {pattern!r} matches no parameter; there are {', '.join(there)}")
         for name, parameter in named.items():
             if not any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns):
                 parameter.requires_grad_(False)
         return [parameter for parameter in named.values() if parameter.requires_grad]
 
-    def forward(self, batch: Labeled, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
+    def forward(self, batch: Batch, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
         """Scalar training loss and its parts; all randomness (dropout, augmentation, noise) from `generator`."""
         config, normal = self.config, self._normalized(batch)
         if not self.acting_learns:
-            # no gradient of the head's loss would reach anything: only what is learned beside it is computed
+            # the head's loss has no gradient that any trained parameter receives: only auxiliary losses are computed
             normal = _with_keypoints(normal, batch)
             return _summed(self.encoder.auxiliary(self.encoder.perceive(normal, generator), normal))
         keep = self._kept(config.goal_dropout, batch, generator)
-        # at 0 nothing is drawn, so that what is drawn next does not depend on an option that is not used
+        # at 0 nothing is drawn, so that an option that is off leaves later draws as they are
         if config.history_dropout > 0:
             past = normal.history_mask.clone()
             past[:, :-1] &= self._kept(config.history_dropout, batch, generator)[:, None]
             normal = replace(normal, history_mask=past)
         if config.proprio_dropout > 0:
-            felt = self._kept(config.proprio_dropout, batch, generator)
-            normal = replace(normal, state=normal.state * felt[:, None, None])
+            kept = self._kept(config.proprio_dropout, batch, generator)
+            normal = replace(normal, state=normal.state * kept[:, None, None])
         return self._loss(batch, normal, keep, generator, augment=generator)
 
     @property
     def acting_learns(self) -> bool:
-        """Whether some parameter that the head's loss teaches is trained; the image encoder alone may be."""
-        taught = chain(self.encoder.token_parameters(), self.trunk.parameters(), self.head.parameters())
-        return any(parameter.requires_grad for parameter in taught)
+        """Whether the head's loss trains any parameter; it does not where only the image encoder is trained."""
+        parameters = chain(self.encoder.token_parameters(), self.trunk.parameters(), self.head.parameters())
+        return any(parameter.requires_grad for parameter in parameters)
 
-    def loss(self, batch: Labeled, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
-        """The same with nothing withheld and no augmentation: what held-out play is judged by."""
+    def loss(self, batch: Batch, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
+        """The same without dropout and augmentation: the validation loss."""
         normal = self._normalized(batch)
         if not self.acting_learns:
             normal = _with_keypoints(normal, batch)
@@ -198,50 +209,51 @@ class Policy(nn.Module):
 
     @torch.inference_mode()
     def act(
-        self, inputs: Observed, generator: Generators, guidance: float | None = None, *, mode: bool = False
+        self, inputs: Inputs, generator: Generators, guidance: float | None = None, *, mode: bool = False
     ) -> Tensor:
         """(B, H, A) float32 on the CPU, in units of the environment; actions clipped to [-1, 1].
 
-        inputs: on any device. generator: one, or one a row, which makes a row independent of the others.
-        guidance: weight of the goal, None for the plain prediction (a weight of 1). mode: the head's mode
-        rather than a sample.
+        inputs: on any device.
+        generator: one, or one a row, which makes a row independent of the others.
+        guidance: weight of the goal, None for the plain prediction (a weight of 1).
+        mode: the head's mode rather than a sample.
         """
         normal = self._normalized(inputs)
         batch, weight = len(normal.state), 1.0 if guidance is None else guidance
-        shown = torch.full((batch,), weight != 0, device=self.device)
-        features = self._features(normal, shown, None)[0]
+        keep = torch.full((batch,), weight != 0, device=self.device)
+        features = self._features(normal, keep, None)[0]
         guide = None
         if weight not in (0.0, 1.0):
-            guide = Guidance(self._features(normal, ~shown, None)[0], weight)
+            guide = Guidance(self._features(normal, ~keep, None)[0], weight)
         chunk = self.head.mode(features, guide) if mode else self.head.sample(features, generator, guide)
         chunk = self.normalizer.restore("action", chunk)
         return (chunk.clamp(-1, 1) if self.spec.clipped else chunk).float().cpu()
 
     @torch.inference_mode()
-    def estimate_achieved(self, inputs: Observed) -> Tensor:
-        """(B, G) float32 on the CPU: what is achieved now, read from its images where it looks through cameras.
+    def estimate_achieved(self, inputs: Inputs) -> Tensor:
+        """(B, G) float32 on the CPU: what is achieved now, estimated from images where the policy reads images.
 
         Raises:
-            UsageError: it looks through cameras and was not taught to tell (`encoder.state_supervision`).
+            UsageError: it reads images and makes no estimates (see `encoder.state_supervision`).
         """
         if not self.config.encoder.observation_cameras:
             return inputs.achieved[:, -1].float().cpu()
         keep = torch.zeros(len(inputs.state), dtype=torch.bool, device=self.device)
         observed = self.encoder(self._normalized(inputs), keep, None).observed
         if observed is None:
-            raise UsageError(_UNTOLD)
+            raise UsageError(_NO_ESTIMATES)
         return self.normalizer.restore("achieved", observed[:, -1]).float().cpu()
 
     @torch.inference_mode()
-    def perceived(self, inputs: Observed) -> tuple[Tensor, Tensor]:
-        """(B, T, G) and (B, G) float32 on the CPU: what is achieved, and in the goal, as its images tell.
+    def perceived(self, inputs: Inputs) -> tuple[Tensor, Tensor]:
+        """(B, T, G) and (B, G) float32 on the CPU: what is achieved, and in the goal, estimated from images.
 
         Raises:
-            UsageError: it was not taught to tell either from images (`encoder.state_supervision`).
+            UsageError: it does not estimate both from images (see `encoder.state_supervision`).
         """
         tokens = self.encoder.perceive(self._normalized(inputs))
         if tokens.observed is None or tokens.wanted is None or "image" not in self.config.encoder.goals:
-            raise UsageError(_UNTOLD)
+            raise UsageError(_NO_ESTIMATES)
         restore = self.normalizer.restore
         return restore("achieved", tokens.observed).float().cpu(), restore("achieved", tokens.wanted).float().cpu()
 
@@ -275,7 +287,7 @@ class Policy(nn.Module):
             if description.get("format") != FORMAT:
                 raise CheckpointError(f"{path} is of format {description.get('format')}, this version reads {FORMAT}")
             policy = from_dict(PolicyConfig, description["config"]).build(
-                spec_from_dict(description["spec"]), None, seed=0, fetch=False
+                PolicySpec.from_dict(description["spec"]), None, seed=0, fetch=False
             )
             policy.load_state_dict(load_file(path / WEIGHTS))
         except PlaylearnError as error:
@@ -284,14 +296,14 @@ class Policy(nn.Module):
             raise CheckpointError(f"the policy at {path} cannot be read: {type(error).__name__}: {error}") from error
         return policy.to(device).eval()
 
-    def _kept(self, dropout: float, batch: Labeled, generator: torch.Generator) -> Tensor:
-        """(B,) bool, False for a share of `dropout`."""
+    def _kept(self, dropout: float, batch: Batch, generator: torch.Generator) -> Tensor:
+        """(B,) bool, False for a fraction of `dropout`."""
         draws = torch.rand(len(batch.state), generator=generator, device=generator.device)
         return (draws >= dropout).to(self.device)
 
     def _loss(
         self,
-        batch: Labeled,
+        batch: Batch,
         normal: Inputs,
         keep: Tensor,
         generator: torch.Generator,
@@ -315,8 +327,8 @@ class Policy(nn.Module):
             mask = torch.cat([steps.new_ones(len(steps), self.encoder.goal_tokens), steps], dim=1)
         return self.trunk(tokens, mask), self.encoder.auxiliary(encoded, inputs)
 
-    def _normalized(self, inputs: Observed) -> Inputs:
-        """On this policy's device, numbers normalized, only the cameras it reads."""
+    def _normalized(self, inputs: Inputs) -> Inputs:
+        """On this policy's device, normalized, only the cameras it reads."""
         encoder, device, normalize = self.config.encoder, self.device, self.normalizer.normalize
         return Inputs(
             state=normalize("state", inputs.state.to(device)),
@@ -333,24 +345,10 @@ class Policy(nn.Module):
         )
 
 
-def _with_keypoints(normal: Inputs, batch: Labeled) -> Inputs:
+def _with_keypoints(normal: Inputs, batch: Batch) -> Inputs:
     return replace(normal, keypoints=batch.keypoints, goal_keypoints=batch.goal_keypoints)
 
 
 def _summed(losses: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
-    """Their sum, and each by its name."""
+    """Their sum, and each by name."""
     return sum(losses.values(), torch.zeros(())), {name: value.detach() for name, value in losses.items()}
-
-
-def spec_from_dict(written: Mapping[str, Any]) -> PolicySpec:
-    """What `dataclasses.asdict` made of a PolicySpec and JSON gave back."""
-    return PolicySpec(
-        state_names=tuple(written["state_names"]),
-        achieved_names=tuple(written["achieved_names"]),
-        action_names=tuple(written["action_names"]),
-        fps=written["fps"],
-        cameras={camera: (size[0], size[1]) for camera, size in written["cameras"].items()},
-        controller=written["controller"],
-        predicts=written.get("predicts", "actions"),
-        bounded=written.get("bounded", True),
-    )

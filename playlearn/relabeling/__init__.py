@@ -13,7 +13,7 @@ from playlearn.relabeling.mixture import MixtureConfig, WeightedSampler
 from playlearn.relabeling.random import RandomConfig
 from playlearn.relabeling.robot import RobotConfig
 from playlearn.relabeling.settled import SettledConfig
-from playlearn.relabeling.settling import SettlingConfig, matching
+from playlearn.relabeling.settling import SettlingConfig
 from playlearn.relabeling.uniform import FutureConfig, UniformConfig
 
 __all__ = [
@@ -36,5 +36,4 @@ __all__ = [
     "WeightedSampler",
     "counter_uniforms",
     "leads_to_failure",
-    "matching",
 ]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from playlearn.errors import UsageError
 from playlearn.relabeling.index import Indices, RelabelIndex
 
-UNIFORMS = 2  # random numbers that one draw may use
+UNIFORMS = 2  # random numbers that one goal may use
 
 
 class GoalSampler(Protocol):
@@ -23,11 +23,11 @@ class GoalSampler(Protocol):
     def draw(self, table: RelabelIndex, episodes: Indices, t: Indices, uniforms: NDArray[np.float64]) -> Indices:
         """(n,) goal observations g for valid steps, counted from the episode's first; t < g <= T as a rule.
 
-        Strategies of negatives may go back, or (g < 0, g > T) on into the episodes beside it, as the
-        table's flat numbering does: the goal is row `table.rows[episode] + g`.
+        A strategy that draws negatives may also return past observations, or ones of other episodes (g < 0, g > T), by
+        the table's flat numbering: the goal is row `table.rows[episode] + g`.
 
-        uniforms: (n, UNIFORMS) independent numbers in [0, 1), the only source of chance, so that an
-        example's goal depends on its own numbers alone and never on the batch it stands in.
+        uniforms: (n, UNIFORMS) independent numbers in [0, 1), the only randomness: an example's goal depends on its own
+        numbers alone and never on the batch it is in.
         """
         ...
 

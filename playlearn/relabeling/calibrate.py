@@ -1,4 +1,4 @@
-"""How far things move and how still they lie, read from the play itself: thresholds that nobody sets by hand."""
+"""Thresholds of change and rest, measured on the play itself: how far objects move and how still they lie."""
 
 from collections.abc import Sequence
 
@@ -7,10 +7,11 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from playlearn.episode import Array
+from playlearn.layout import ObjectLayout
 
-MOVE_SECONDS = 2.0  # the time in which a thing that is being moved goes about as far as it will go
-QUIET = 0.05  # the share of windows, the quietest, that show nothing but noise: an arm at play seldom rests
-FINEST = 1e-4  # SI units: what never left so small a range has not moved, whatever its last digits do
+MOVE_SECONDS = 2.0  # within which an object that is being moved gets about as far as it will
+QUIET = 0.05  # the fraction of windows, the quietest, that show noise alone: an arm at play seldom rests
+FINEST = 1e-4  # SI units: a dimension that stays within so small a range has not moved
 CHANGE_OF_MOVE, REST_OF_MOVE = 1 / 7, 1 / 25
 CHANGE_OF_NOISE, REST_OF_NOISE = 7.0, 3.5
 
@@ -20,25 +21,23 @@ def measure(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(G,) change and (G,) rest, read from rows (T+1, G) of play.
 
-    Dimensions that share a part name (`red.x`, `blue.x`) are of one kind and share their thresholds. Of
-    each kind two sizes are read: the noise, within what it stays in the quietest of twenty windows of
-    `window` steps; and a typical move, the mean of how far it gets in 2 s, each weighted by itself, so that
-    neither noise nor long rests count. It has changed after a seventh of a move, and rests within 1/25 of
-    one; or after 7 and within 3.5 times the noise, where that is more. What never moves has no threshold
-    to pass: infinity.
+    Dimensions of one quantity (`red.x`, `blue.x`) share their thresholds. Two sizes are measured for each quantity. The
+    noise is the range within which it stays in the quietest of twenty windows of `window` steps. A typical move is the
+    mean distance covered in 2 s, each distance weighted by itself, so that neither noise nor long rests count. A
+    dimension has changed after a seventh of a move and rests within 1/25 of one; or after 7 and within 3.5 times the
+    noise, where that is more. The thresholds of a dimension that never moves are infinite.
 
-    A two-class split of the ranges (Otsu, 1979) was tried first. What lies still in a simulator does so to
-    the last digit, so the split came to stand at 10 micrometers, between two kinds of standing still.
+    A two-class split of the ranges (Otsu, 1979) was tried first. An object at rest in a simulator does not move in the
+    last digit, so the split fell at 10 micrometers, between two kinds of rest.
     """
     change, rest = np.full(len(names), np.inf), np.full(len(names), np.inf)
     if not len(names) or not len(rows):
         return change, rest
     moves = np.max([np.ptp(one, axis=0) for one in rows], axis=0) > FINEST
-    parts = np.array([name.rpartition(".")[2] for name in names])
     lag = max(1, round(MOVE_SECONDS * fps))
-    for part in dict.fromkeys(parts.tolist()):
-        own = (parts == part) & moves
-        if own.any():
+    for dimensions in ObjectLayout(names).by_quantity().values():
+        own = [k for k in dimensions if moves[k]]
+        if own:
             noise, move = _noise_and_move([np.asarray(one[:, own], np.float64) for one in rows], window, lag)
             change[own] = max(CHANGE_OF_MOVE * move, CHANGE_OF_NOISE * noise, FINEST)
             rest[own] = max(REST_OF_MOVE * move, REST_OF_NOISE * noise, FINEST)

@@ -1,4 +1,4 @@
-"""Numbers that look drawn and are hashes of where they are used, so that any worker computes the same ones."""
+"""Counter-based random numbers: hashes of where they are used, so that any worker computes the same ones."""
 
 import numpy as np
 from numpy.typing import NDArray

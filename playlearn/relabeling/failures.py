@@ -1,4 +1,4 @@
-"""Which steps of play lead into a failure, told from the annotation of its skills."""
+"""Which steps of play lead into a failure, by the annotation of its skills."""
 
 from collections.abc import Sequence
 
@@ -11,17 +11,17 @@ FAILURES = frozenset({"mistake", "slip", "gave_up"})
 
 
 def leads_to_failure(skill: Array, names: Sequence[str]) -> NDArray[np.bool_]:
-    """(T,) whether the attempt that each step is part of fails there or later.
+    """(T,) whether the attempt that each step belongs to fails there or later.
 
-    skill (T,): indices of `names`, annotations such as `stack_red:slip`. An attempt lasts as long as its skill's name
-    stays, and ends where it is given up or begun `again`; it fails where it says `mistake`, `slip` or `gave_up`.
-    What comes after is the recovery, and leads to no failure.
+    skill: (T,) indices of `names`, annotations such as `stack_red:slip`. An attempt lasts as long as its skill stays
+    the same, and ends where it is given up or begun `again`; it fails at the mark `mistake`, `slip` or `gave_up`. What
+    comes after is the recovery, and leads to no failure.
     """
-    said = [read_annotation(name) for name in names] or [("", ())]
-    first = [[other for other, _ in said].index(name) for name, _ in said]  # one number a skill, whatever its marks
+    read = [read_annotation(name) for name in names] or [("", ())]
+    first = [[other for other, _ in read].index(name) for name, _ in read]  # one number a skill, whatever its marks
     attempted = np.array(first)[skill]
     fails, given_up, again = (
-        np.array([bool(marks & set(own)) for _, own in said])[skill] for marks in (FAILURES, {"gave_up"}, {"again"})
+        np.array([bool(marks & set(own)) for _, own in read])[skill] for marks in (FAILURES, {"gave_up"}, {"again"})
     )
     ends = np.append((attempted[1:] != attempted[:-1]) | given_up[:-1] | again[1:], True)
     steps = np.arange(len(skill))

@@ -12,10 +12,10 @@ from playlearn.relabeling.index import Indices, RelabelIndex
 @GoalSamplerConfig.register_subclass("final_settled")
 @dataclass(frozen=True)
 class FinalSettledConfig(GoalSamplerConfig):
-    """The goal is drawn from the whole time for which the last settled configuration lasts, where that is until the
-    end, so that what the arm does in a goal image does not matter; else it is the last observation.
+    """The goal is drawn from the last settled configuration, where that lasts until the end; else it is the last
+    observation. Any of its observations may be drawn, so that what the arm does in a goal image does not matter.
 
-    For episodes that were brought to an end on purpose, as those of DAgger are.
+    For episodes that end on purpose, as DAgger's do.
     """
 
     def build(self) -> GoalSampler:

@@ -12,7 +12,7 @@ from playlearn.relabeling.index import Indices, RelabelIndex
 @GoalSamplerConfig.register_subclass("fixed")
 @dataclass(frozen=True)
 class FixedConfig(GoalSamplerConfig):
-    """seconds: how far ahead the goal lies; steps too near the end of their episode are left out."""
+    """seconds: how far ahead the goal lies; steps too near the end of their episode are no examples."""
 
     seconds: float = 2.0
 

@@ -1,4 +1,4 @@
-"""Later moments, the nearer the likelier: the discounted future."""
+"""Later moments, the nearer the more likely: the discounted future."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from playlearn.relabeling.index import Indices, RelabelIndex
 @GoalSamplerConfig.register_subclass("geometric")
 @dataclass(frozen=True)
 class GeometricConfig(GoalSamplerConfig):
-    """mean: seconds ahead that the goal would lie on average in an endless episode."""
+    """mean: of how many seconds ahead the goal would lie in an endless episode."""
 
     mean: float = 3.0
 

@@ -1,17 +1,17 @@
-"""What relabeling knows of a store: lengths, and the settled moments read from `achieved` (or the robot) alone.
+"""What relabeling reads of a store: lengths, and the settled moments, from `achieved` (or the robot) alone.
 
-One episode of T actions, in which the world was changed twice:
+One episode of T actions, in which the achieved goal A changes to B and to C:
 
     observation   0    1    2    3    4    5    6    7    8    9   10   11=T
     action          0    1    2    3    4    5    6    7    8    9   10
-    the world     AAAAAAAA ~~~~~~~~~~ BBBBBBBBBBBBBB ~~~~~~~~~ CCCCCCCCCC
+    achieved      AAAAAAAA ~~~~~~~~~~ BBBBBBBBBBBBBB ~~~~~~~~~ CCCCCCCCCC
     settled                           m=5                       m=9
-    hold ends           2                       7                     11
+    lasts until         2                       7                     11
     following(t)    5    5    5    5    5    9    9    9    9    -    -      t = 0 ... T-1
 
-A settled moment m is the first at which the world differs from the configuration before it by more
-than `change` in some dimension, and has moved less than `rest` in every dimension for `rest_seconds`.
-Its interval [m, end] lasts until the next change begins. A goal index g of a moment t lies in
+A settled moment m is the first at which `achieved` differs from the configuration before it by more than `change` in
+some dimension, and has moved less than `rest` in every dimension for `rest_seconds`. Its configuration lasts over
+[m, end], until the next change begins. A goal index g of a moment t lies in
 (t, T]: at least one action leads to it, and it never leaves its episode.
 
 Flat numbering: step t of episode e is `starts[e] + t` (0 <= t < T_e), observation o of episode e is
@@ -26,20 +26,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from playlearn.episode import STORED, Array
+from playlearn.layout import ObjectLayout
 from playlearn.relabeling.calibrate import ranges
 from playlearn.relabeling.robot import NAMES, RobotReader
-from playlearn.relabeling.settling import SettlingConfig, matching, thresholds
+from playlearn.relabeling.settling import SettlingConfig, thresholds
 
 Indices = NDArray[np.int64]
 STATE, ACHIEVED = STORED["state"], STORED["achieved"]
-
-
 NONE = np.zeros(0)
-Found = tuple[Sequence[int], Sequence[int], Sequence[Sequence[bool]]]  # moments (m), ends (m), changed (m, G)
+Moments = tuple[Sequence[int], Sequence[int], Sequence[Sequence[bool]]]  # moments (m), ends (m), changed (m, G)
 
 
 class Spec(Protocol):
-    """What a store's episodes have in common, as far as the table asks."""
+    """What the index reads of a store's spec."""
 
     @property
     def achieved_names(self) -> tuple[str, ...]: ...
@@ -50,7 +49,7 @@ class Spec(Protocol):
 
 
 class Recordings(Protocol):
-    """What the table reads of a store."""
+    """What the index reads of a store."""
 
     @property
     def spec(self) -> Spec: ...
@@ -62,12 +61,17 @@ class Recordings(Protocol):
 class RelabelIndex:
     """N episodes, M settled moments in all, G achieved dimensions.
 
-    lengths (N,): T of each episode. starts (N+1,), rows (N+1,): flat numbering, see the drawing.
-    offsets (N+1,): episode e has the settled moments offsets[e] ... offsets[e+1]-1.
-    moments (M,), ends (M,): the observation at which each is settled, and the last it holds to.
-    changed (M, G) bool: the dimensions that differ from the configuration before it; `names` says which they are.
-    change (G,): how far each dimension moves before it has changed; none where the moments are the robot's.
-    next_moment (sum T,): the first settled moment (flat) later than each step; offsets[e+1] where none is.
+    fps: steps a second.
+    names: (G,) the dimensions of `changed`.
+    lengths: (N,) T of each episode.
+    starts: (N+1,) flat numbering of steps, see the drawing.
+    rows: (N+1,) flat numbering of observations.
+    offsets: (N+1,) episode e has the settled moments offsets[e] ... offsets[e+1]-1.
+    moments: (M,) the observation at which each is settled.
+    ends: (M,) the last observation of its configuration.
+    changed: (M, G) bool, the dimensions that differ from the configuration before it.
+    change: (G,) how far each dimension moves before it has changed; empty where moments are read from the robot.
+    next_moment: (sum T,) the first settled moment (flat) later than each step; offsets[e+1] where there is none.
     """
 
     fps: float
@@ -104,10 +108,11 @@ class RelabelIndex:
         episodes: Sequence[int] | None = None,
         learned: Sequence[int] | None = None,
     ) -> Self:
-        """The table of a store's episodes, numbered by their place in `episodes` (None: all of them).
+        """The index of a store's episodes, numbered by their place in `episodes` (None: all of them).
 
-        goal_names: patterns of the achieved dimensions in which to look for change and rest; of no use where the
-        moments are the robot's. learned: the episodes on which to measure what is left to the data (none: all).
+        goal_names: patterns of the achieved dimensions in which to look for change and rest; not read where moments are
+            read from the robot.
+        learned: the episodes on which thresholds of null are measured (None: all).
 
         Raises:
             UsageError: a threshold is missing or not positive, a pattern matches nothing.
@@ -115,8 +120,8 @@ class RelabelIndex:
         spec, every = store.spec, range(len(store))
         episodes, learned = every if episodes is None else episodes, learned or every
 
-        def rows(chosen: Sequence[int], key: str) -> Iterator[Array]:
-            return (store.array(int(i), key) for i in chosen)
+        def rows(of: Sequence[int], key: str) -> Iterator[Array]:
+            return (store.array(int(i), key) for i in of)
 
         if settling.source == "robot" or not spec.achieved_names:
             reader = RobotReader.measured(list(rows(learned, STATE)), spec.state_names, spec.fps, settling.robot)
@@ -124,16 +129,16 @@ class RelabelIndex:
             return cls._of(
                 [len(state) - 1 for state in states], [reader(state) for state in states], NAMES, spec.fps, NONE
             )
-        spoken = matching(spec.achieved_names, goal_names)
-        names = [spec.achieved_names[k] for k in spoken]
-        settling = settling.measured((one[:, spoken] for one in rows(learned, ACHIEVED)), names, spec.fps)
-        return cls.build([one[:, spoken] for one in rows(episodes, ACHIEVED)], names, spec.fps, settling)
+        chosen = ObjectLayout(spec.achieved_names).select(goal_names)
+        names = [spec.achieved_names[k] for k in chosen]
+        settling = settling.measured((one[:, chosen] for one in rows(learned, ACHIEVED)), names, spec.fps)
+        return cls.build([one[:, chosen] for one in rows(episodes, ACHIEVED)], names, spec.fps, settling)
 
     @classmethod
     def _of(
         cls,
         steps: Sequence[int],
-        found: Sequence[Found],
+        found: Sequence[Moments],
         names: Sequence[str],
         fps: float,
         change: NDArray[np.float64],
@@ -170,7 +175,7 @@ class RelabelIndex:
         return valid
 
     def settled(self, episode: int) -> tuple[Indices, Indices]:
-        """(m,), (m,): the settled moments of one episode, and the last observation each holds to."""
+        """(m,), (m,): the settled moments of one episode, and the last observation of its configuration."""
         own = slice(self.offsets[episode], self.offsets[episode + 1])
         return self.moments[own], self.ends[own]
 
@@ -181,32 +186,31 @@ class RelabelIndex:
         return changes
 
     def groups(self) -> tuple[str, ...]:
-        """What the achieved dimensions belong to: the names before the dot, in order."""
-        return tuple(dict.fromkeys(name.split(".")[0] for name in self.names))
+        """The objects that the dimensions belong to, in order."""
+        return tuple(ObjectLayout(self.names).objects())
 
     def changed_groups(self) -> NDArray[np.bool_]:
-        """(M, groups) which group changed at each settled moment."""
+        """(M, groups) which object changed at each settled moment."""
         return self._by_group(self.changed)
 
     def groups_apart(self, one: Array, other: Array) -> NDArray[np.bool_]:
-        """(n, groups) in which groups two sets of achieved goals (n, G) differ by more than `change`."""
+        """(n, groups) in which objects two sets of achieved goals (n, G) differ by more than `change`."""
         return self._by_group(np.abs(one - other) > self.change)
 
     def change_counts(self) -> dict[str, int]:
-        """How often each group changed: what there is to learn from."""
+        """How often each object changed."""
         return dict(zip(self.groups(), self.changed_groups().sum(axis=0).tolist(), strict=True))
 
     def _by_group(self, flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(n, G) -> (n, groups): whether any dimension of a group has its flag set."""
-        owners = np.array([name.split(".")[0] for name in self.names])
-        columns = [flags[:, owners == group].any(axis=1) for group in self.groups()]
+        """(n, G) -> (n, groups): whether any dimension of an object has its flag set."""
+        columns = [flags[:, own].any(axis=1) for own in ObjectLayout(self.names).objects().values()]
         return np.stack(columns, axis=1) if columns else np.zeros((len(flags), 0), np.bool_)
 
     def _next(self, episode: int) -> Indices:
         return self.next_moment[self.starts[episode] : self.starts[episode + 1]]
 
 
-def _settled(achieved: Array, change: Array, rest: Array, window: int) -> Found:
+def _settled(achieved: Array, change: Array, rest: Array, window: int) -> Moments:
     """The settled moments, their ends and what changed of one episode's (T+1, G)."""
     resting = _resting(achieved, rest, window)
     moments: list[int] = []

@@ -1,4 +1,4 @@
-"""Several strategies, each with its share."""
+"""Several strategies, each with its weight."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,7 +15,11 @@ from playlearn.relabeling.uniform import UniformConfig
 
 @dataclass(frozen=True)
 class WeightedSampler:
-    """One strategy and how often it is used, relative to the others' weights."""
+    """One strategy of a mixture.
+
+    goals: the strategy.
+    weight: how often it is used, relative to the others' weights.
+    """
 
     goals: GoalSamplerConfig
     weight: float = 1.0
@@ -28,18 +32,16 @@ def _default() -> list[WeightedSampler]:
 @GoalSamplerConfig.register_subclass("mixture")
 @dataclass(frozen=True)
 class MixtureConfig(GoalSamplerConfig):
-    """shares: the strategies. Where one can draw no goal for a step, the others take over its share."""
+    """samplers: the strategies; where one can draw no goal for a step, the others take over its weight."""
 
     samplers: list[WeightedSampler] = field(default_factory=_default)
 
     def build(self) -> GoalSampler:
         if not self.samplers:
-            raise UsageError("mixture.shares is empty: name at least one strategy")
-        for fraction in self.samplers:
-            positive("mixture.shares.weight", fraction.weight)
-        return Mixture(
-            [fraction.goals.build() for fraction in self.samplers], [fraction.weight for fraction in self.samplers]
-        )
+            raise UsageError("mixture.samplers is empty: name at least one strategy")
+        for sampler in self.samplers:
+            positive("mixture.samplers.weight", sampler.weight)
+        return Mixture([sampler.goals.build() for sampler in self.samplers], [one.weight for one in self.samplers])
 
 
 class Mixture:
@@ -61,7 +63,7 @@ class Mixture:
         for number, sampler in enumerate(self._samplers):
             mine = np.flatnonzero(chosen == number)
             low, high = (upper[mine, number - 1] if number else 0.0), upper[mine, number]
-            # Within its share the number that chose the strategy is again even over [0, 1).
+            # Within its interval the number that chose the strategy is again uniform over [0, 1).
             inner = uniforms[mine].copy()
             inner[:, 0] = np.clip((inner[:, 0] - low) / (high - low), 0.0, np.nextafter(1.0, 0.0))
             goals[mine] = sampler.draw(table, episodes[mine], t[mine], inner)

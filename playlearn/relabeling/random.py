@@ -14,7 +14,7 @@ from playlearn.relabeling.index import Indices, RelabelIndex
 class RandomConfig(GoalSamplerConfig):
     """The goal is any observation of the split: HER's strategy "random".
 
-    Nothing says that these actions lead there: it is a negative, for value or contrastive learning.
+    These actions most likely do not lead there: it is a negative, for value or contrastive learning.
     """
 
     def build(self) -> GoalSampler:

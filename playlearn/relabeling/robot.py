@@ -1,16 +1,16 @@
 """Settled moments of recordings without `achieved`, a real robot's: read from the gripper and the arm's motion.
 
-What a hand lets go of stays where it was put, and where an arm that has hold of something stops, something is
-shown. So the world has settled, as far as the robot can tell,
+An object stays where a gripper released it, and an arm that stops while it holds an object has placed it. So a moment
+is taken as settled
 
 - when the gripper has opened after it had closed: `gripper.opened`;
-- when the arm comes to rest with its gripper closed, and has moved since that closed or since the last moment
-  (an open hand that stops in mid-air has changed nothing): `arm.stopped`.
+- when the arm comes to rest with its gripper closed, and has moved since it closed or since the last settled moment
+  (an open gripper that stops in mid-air has changed nothing): `arm.stopped`.
 
-Against the moments read from `achieved` in simulated play on PlayTable (300 episodes, 1,264 moments): 73 % of those
-found here have one within 0.5 s, and 80 % of them are found; 81 % of those found show a world that had settled since
-the one before (within 0.5 s of the time that it lasted), and 88 % of those worlds are shown. Missed is above all what
-a closed hand does in passing, a button pressed or a lever turned without a stop.
+Against the moments read from `achieved` in simulated play on PlayTable (300 episodes, 1,264 moments): precision 73 %,
+recall 80 % (within 0.5 s). By configurations: 81 % of the moments found show one that had settled since the moment
+before (within 0.5 s of its duration), and 88 % of those configurations are shown. Mostly missed is what a closed
+gripper does in passing: a button pressed or a lever turned without a stop.
 """
 
 from collections.abc import Sequence
@@ -25,16 +25,16 @@ from numpy.typing import NDArray
 from playlearn.episode import Array
 from playlearn.relabeling.calibrate import measure, ranges
 
-NAMES = ("gripper.opened", "arm.stopped")  # what a moment of the robot's says has changed
+NAMES = ("gripper.opened", "arm.stopped")  # what changes at a settled moment that is read from the robot
 
 
 @dataclass(frozen=True)
 class RobotConfig:
-    """Which numbers of `observation.state` are what; their thresholds are measured (see `measure.measure`).
+    """Which dimensions of `observation.state` are gripper and arm; thresholds are measured (see `calibrate.measure`).
 
-    gripper: shell-style patterns; the first name that matches says how far the gripper is open, more being wider.
-    arm: patterns of the arm's place; where none matches, everything but the gripper.
-    rest_seconds: for how long the arm stands still where it has come to rest; it pauses on its way, too.
+    gripper: shell-style patterns; the first name that matches is the gripper's opening, more being wider.
+    arm: patterns of the arm's position; where none matches, everything but the gripper.
+    rest_seconds: for how long the arm is still before it counts as at rest, since it also pauses on its way.
     """
 
     gripper: tuple[str, ...] = ("*gripper*",)
@@ -42,7 +42,7 @@ class RobotConfig:
     rest_seconds: float = 0.5
 
     def columns(self, names: Sequence[str]) -> tuple[list[int], list[int]]:
-        """Of the state's names the gripper's, one or none, and the arm's."""
+        """The dimensions of the gripper, one or none, and of the arm, by the names of the state."""
         grippers, arm = (
             [k for k, name in enumerate(names) if any(fnmatchcase(name, pattern) for pattern in patterns)]
             for patterns in (self.gripper, self.arm)
@@ -54,9 +54,13 @@ class RobotConfig:
 class RobotReader:
     """Finds the moments in states (T+1, S).
 
-    gripper, arm: columns. opens: by how much the gripper opens or closes before it has. middle: of the openings
-    seen, below which a recording begins with it closed. moves, rests (arm,): how far the arm gets before it has
-    moved, and within what it stays at rest over `window` steps.
+    gripper: its dimension of the state, or none.
+    arm: its dimensions.
+    opens: by how much the gripper's opening changes before it counts as opened or closed.
+    middle: between the widest and the narrowest opening; a recording that begins below it begins closed.
+    moves: (arm,) how far the arm moves before it has moved.
+    rests: (arm,) the range within which it stays at rest.
+    window: steps for which it must stay there.
     """
 
     gripper: list[int]
@@ -69,7 +73,7 @@ class RobotReader:
 
     @classmethod
     def measured(cls, states: Sequence[Array], names: Sequence[str], fps: float, config: RobotConfig) -> Self:
-        """With the thresholds of this play."""
+        """With thresholds measured on these states."""
         gripper, arm = config.columns(names)
         window = max(1, round(config.rest_seconds * fps))
         openings = [_openings(state, gripper) for state in states]
@@ -82,7 +86,7 @@ class RobotReader:
         """The moments (m), the last observation each holds to, and which of `NAMES` each is (m, 2)."""
         openings = _openings(state, self.gripper)
         closed = self._closed(openings.tolist())
-        turns = np.flatnonzero(np.diff(closed)) + 1  # each first observation with the hand closed, or open, again
+        turns = np.flatnonzero(np.diff(closed)) + 1  # each first observation with the gripper closed, or open, again
         grasps = set(turns[closed[turns]].tolist())
         opened = {
             begin + int((openings[begin:end] >= openings[begin:end].max() - self.opens).argmax())
@@ -115,7 +119,7 @@ class RobotReader:
         return np.array(states, np.bool_)
 
     def _end(self, arm: Array, closed: NDArray[np.bool_], t: int) -> int:
-        """What was let go of stays until the hand closes again; what is held, until the arm moves on."""
+        """The last observation of t's configuration: until the gripper closes; while closed, until the arm moves."""
         leaves = (np.abs(arm[t:] - arm[t]) > self.rests).any(axis=1) if closed[t] else closed[t:]
         return t + int(leaves.argmax()) - 1 if leaves.any() else len(arm) - 1
 

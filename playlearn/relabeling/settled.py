@@ -1,4 +1,4 @@
-"""The default: one of the next moments at which the world has changed and come to rest."""
+"""The default: one of the next moments at which the achieved goal has changed and come to rest."""
 
 from dataclasses import dataclass
 
@@ -13,12 +13,13 @@ from playlearn.relabeling.index import Indices, RelabelIndex
 @GoalSamplerConfig.register_subclass("settled")
 @dataclass(frozen=True)
 class SettledConfig(GoalSamplerConfig):
-    """ahead: the goal is one of the next 1 ... `ahead` settled configurations, each equally likely.
+    """The goal is one of the next settled configurations.
 
-    hold: draw the goal from the whole time the configuration lasts, so that what the arm does in a goal
-        image does not matter; False: the moment it settles.
-    settle_slack: seconds past a settled moment in which its own configuration still is the next one
-        (what to do once there: let go, draw back); 0 hands over at the settled moment.
+    ahead: how many of them may be drawn, each equally likely.
+    until_next_change: whether the goal is any observation of the configuration, until it changes, so that what the arm
+        does in a goal image does not matter; False: the settled moment itself.
+    settle_slack: seconds past a settled moment in which its own configuration still is the next one (what to do once
+        there: let go, draw back); 0 moves on at the settled moment.
     """
 
     ahead: int = 1
@@ -33,7 +34,7 @@ class SettledConfig(GoalSamplerConfig):
 
 
 class Settled:
-    """See `SettledConfig`, and the drawing in `table.py`."""
+    """See `SettledConfig`, and the drawing in `index.py`."""
 
     def __init__(self, ahead: int, until_next_change: bool, settle_slack: float) -> None:
         self._ahead, self._until_next_change, self._slack = ahead, until_next_change, settle_slack

@@ -1,4 +1,4 @@
-"""When the world counts as changed and when as at rest: thresholds, given or measured from the play itself."""
+"""When the achieved goal counts as changed and when as at rest: thresholds, given or measured on the play itself."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,21 +18,23 @@ Thresholds = dict[str, float | None]
 
 @dataclass(frozen=True)
 class SettlingConfig:
-    """When the world counts as changed, and when as at rest.
+    """When the achieved goal counts as changed, and when as at rest.
 
-    change: pattern of achieved names -> how far a dimension moves before it has changed (meters; for
-        `*.c` and `*.s`, the cosine and sine of an orientation, their own unit; lamps 0 or 1).
-    rest: pattern -> within what a dimension stays for the world to be at rest.
+    change: pattern of achieved names -> how far a dimension moves before it has changed (meters; cosine and sine of an
+        orientation, `*.c` and `*.s`, in their own unit; lamps 0 or 1).
+    rest: pattern -> the range within which a dimension stays while at rest.
     rest_seconds: for how long it must stay there.
-    source: what the moments are read from. `robot`, and wherever `achieved` is empty (a real robot's
-        recordings): gripper and arm, as `robot` says; the thresholds are then measured.
+    source: what settled moments are read from: `achieved`, or `robot`, gripper and arm with measured thresholds, which
+        is also used wherever `achieved` is empty (recordings of a real robot).
+    robot: which numbers are gripper and arm.
 
-    `default` speaks of every name that no pattern matches; of several that match, the last counts. A
-    threshold of null is measured from the play (see `measure.measure`): `{default: null}` measures them all.
-    Those given here are for a tabletop in a simulator, and stay the default there: in two stores of play on
-    PlayTable 91 and 96 % of the moments they find lie within 0.2 s of one that measured thresholds find, and
-    the other way round. Under 3 mm of noise they find none at all, measured ones still 59 and 70 % of those
-    moments: leave the thresholds to the data where the world was sensed.
+    The pattern `default` covers every name that no other pattern matches; of several that match, the last one counts. A
+    threshold of null is measured on the play (see `calibrate.measure`): `{default: null}` measures all of them.
+
+    The default thresholds are for a tabletop in a simulator. In two stores of play on PlayTable, 91 and 96 % of the
+    moments they find lie within 0.2 s of one that measured thresholds find, and the other way round. Under 3 mm of
+    noise they find none, while measured ones still find 59 and 70 % of those moments: measure the thresholds where
+    `achieved` comes from sensors.
     """
 
     change: Thresholds = field(default_factory=lambda: {"default": 0.015, "*.c": 0.15, "*.s": 0.15, "*.on": 0.5})
@@ -46,7 +48,7 @@ class SettlingConfig:
         return max(1, round(self.rest_seconds * fps))
 
     def measured(self, rows: Iterable[Array], names: Sequence[str], fps: float) -> Self:
-        """The same with each null replaced by what is measured on rows, each (T+1, G); reads none if there is none."""
+        """The same with each null measured on rows, each (T+1, G), which are not read where nothing is null."""
         if None not in (*self.change.values(), *self.rest.values()):
             return self
         change, rest = measure(list(rows), names, fps, self.window(fps))
@@ -68,18 +70,6 @@ def thresholds(patterns: Mapping[str, float | None], names: Sequence[str], what:
             raise UsageError(f"settling.{what}: {name} needs a threshold above 0, got {value}")
         values.append(value)
     return np.array(values, np.float64)
-
-
-def matching(names: Sequence[str], patterns: Sequence[str]) -> list[int]:
-    """The indices of the names that match one of the shell-style patterns.
-
-    Raises:
-        UsageError: a pattern matches none of them (where there are any).
-    """
-    for pattern in patterns:
-        if names and not any(fnmatchcase(name, pattern) for name in names):
-            raise UsageError(f"goal_names: {pattern!r} matches none of: {', '.join(names)}")
-    return [k for k, name in enumerate(names) if any(fnmatchcase(name, pattern) for pattern in patterns)]
 
 
 def _given(patterns: Mapping[str, float | None], name: str, what: str) -> float | None:

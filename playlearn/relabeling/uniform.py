@@ -1,4 +1,4 @@
-"""Any later moment within a horizon, all equally likely."""
+"""Any later moment within a horizon, each equally likely."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from playlearn.relabeling.index import Indices, RelabelIndex
 @GoalSamplerConfig.register_subclass("uniform")
 @dataclass(frozen=True)
 class UniformConfig(GoalSamplerConfig):
-    """horizon: how many seconds ahead the goal lies at most; the end of the episode where that is nearer."""
+    """horizon: seconds that the goal lies ahead at most; less where the episode ends before."""
 
     horizon: float = 5.0
 

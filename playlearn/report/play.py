@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from playlearn.episode import Array, read_annotation
 from playlearn.errors import UsageError
+from playlearn.layout import ObjectLayout
 from playlearn.relabeling import RelabelIndex, SettlingConfig
 from playlearn.store import Store
 
@@ -91,10 +92,8 @@ def figures(store: Store, settling: SettlingConfig | None = None) -> dict[str, A
 
 def hand_names(names: Sequence[str]) -> tuple[str, str, str] | None:
     """The x, y and z of the first group that has all three."""
-    for group in dict.fromkeys(name.split(".")[0] for name in names):
-        place = (f"{group}.x", f"{group}.y", f"{group}.z")
-        if set(place) <= set(names):
-            return place
+    for x, y, z in ObjectLayout(names).places().values():
+        return names[x], names[y], names[z]
     return None
 
 
@@ -119,7 +118,7 @@ def _mended(tried: Sequence[SkillAttempt]) -> dict[str, Any]:
 def _places(store: Store) -> dict[str, Any]:
     """Heat maps, all over the same ground: counts[row][column] with y upwards and x to the right."""
     names, hand = store.spec.achieved_names, hand_names(store.spec.state_names)
-    groups = [g for g in dict.fromkeys(name.split(".")[0] for name in names) if {f"{g}.x", f"{g}.y"} <= set(names)]
+    groups = ObjectLayout(names).having(("x", "y"))
     tracks = {group: _columns(store, "achieved", names, (f"{group}.x", f"{group}.y")) for group in groups}
     if hand is not None:
         tracks["hand"] = _columns(store, "observation.state", store.spec.state_names, hand[:2])

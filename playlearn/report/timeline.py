@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from playlearn.episode import IMAGES, Array, read_annotation
+from playlearn.layout import ObjectLayout
 from playlearn.relabeling import RelabelIndex, SettlingConfig
 from playlearn.relabeling.robot import RobotReader
 from playlearn.relabeling.settling import thresholds
@@ -107,18 +108,17 @@ def _curve_groups(store: Store, episode: int, settling: SettlingConfig) -> list[
     states = [store.array(i, "observation.state") for i in every]
     robot = RobotReader.measured(states, spec.state_names, spec.fps, settling.robot)
     for group, columns, unit in (("gripper", robot.gripper, np.array([robot.opens])), ("arm", robot.arm, robot.moves)):
-        names = tuple(spec.state_names[k].rpartition(".")[2] for k in columns)
+        names = ObjectLayout([spec.state_names[k] for k in columns]).quantities
         if columns:
             tracks.append(CurveGroup(group, names, _scaled(states[episode][:, columns], unit)))
     return tracks
 
 
 def _grouped(values: Array, names: Sequence[str], unit: Array) -> list[CurveGroup]:
-    owners = np.array([name.split(".")[0] for name in names])
+    layout = ObjectLayout(names)
     return [
-        CurveGroup(group, tuple(names[k].partition(".")[2] for k in own), _scaled(values[:, own], unit[own]))
-        for group in dict.fromkeys(owners.tolist())
-        for own in [np.flatnonzero(owners == group)]
+        CurveGroup(group, tuple(layout.parts[k] for k in own), _scaled(values[:, own], unit[own]))
+        for group, own in layout.objects().items()
     ]
 
 

@@ -22,6 +22,7 @@ from PIL import Image
 
 from playlearn.episode import Array, Episode
 from playlearn.errors import PlaylearnError, UsageError
+from playlearn.layout import ObjectLayout
 from playlearn.relabeling import RelabelIndex, SettlingConfig
 from playlearn.report.timeline import timeline
 from playlearn.store import open_store
@@ -114,7 +115,7 @@ def _has_display() -> bool:
 
 
 def _episode_layout(play: Episode) -> rrb.Container:
-    groups = dict.fromkeys(name.split(".")[0] for name in play.meta.achieved_names)
+    groups = ObjectLayout(play.meta.achieved_names).objects()
     cameras = [
         rrb.Horizontal(
             rrb.Spatial2DView(origin=f"camera/{camera}", name=camera),
@@ -148,9 +149,7 @@ def _log_episode(recording: rr.RecordingStream, play: Episode, table: RelabelInd
     curves("state", play.state, meta.state_names)
     curves("action/executed", play.action, meta.action_names)
     curves("action/label", play.expert_action, [f"{name} (label)" for name in meta.action_names])
-    groups = np.array([name.split(".")[0] for name in meta.achieved_names])
-    for group in dict.fromkeys(groups.tolist()):
-        own = np.flatnonzero(groups == group)
+    for group, own in ObjectLayout(meta.achieved_names).objects().items():
         curves(f"achieved/{group}", play.achieved[:, own], [meta.achieved_names[k] for k in own])
     if play.intervention.any():
         curves("action/intervention", play.intervention[:, None].astype(np.float32), ["intervention"])

@@ -8,7 +8,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from playlearn.data import Batch, Indices, laid_end_to_end
+from playlearn.batch import Batch
+from playlearn.data import Indices, laid_end_to_end
 from playlearn.data.prefetch import prepared_ahead
 from playlearn.episode import IMAGES, Array
 from playlearn.scenes.draw import KEYPOINTS

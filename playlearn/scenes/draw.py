@@ -14,7 +14,7 @@ from playlearn.config import from_dict
 from playlearn.episode import IMAGES, Array
 from playlearn.errors import UsageError
 from playlearn.executor import Job, LocalExecutorConfig
-from playlearn.policies.inputs import placed_objects
+from playlearn.layout import ObjectLayout
 from playlearn.report.progress import Progress
 from playlearn.scenes.config import ScenesConfig
 from playlearn.sim import Environment, EnvironmentConfig
@@ -50,7 +50,8 @@ def draw_scenes(
     """Leave in `folder` a file for each episode of the store; those that are there already stay.
 
     A file holds of n scenes: observation.state (n, S), achieved (n, G), images of `cameras` (n, h, w, 3) uint8, and
-    under `keypoints.CAMERA` where that camera sees the `placed_objects`, (n, O, 2) float32. held_out: (N,) which are.
+    under `keypoints.CAMERA` where that camera sees the objects of `ObjectLayout.places`, (n, O, 2) float32.
+    held_out: (N,) which are.
 
     Raises:
         UsageError: `folder` was drawn with other settings, or the store's environment cannot be rearranged or drawn.
@@ -106,7 +107,7 @@ def draw(source: str, out: str, index: int, rearranged: float) -> None:
     environment = _environment(json.dumps(dict(store.spec.environment)))
     states = store.array(int(np.searchsorted(store.indices(), index)), "sim.state")
     rng = np.random.default_rng((int(note["seed"]), index))
-    cameras, objects = tuple(note["sizes"]), placed_objects(environment.spec.achieved_names).values()
+    cameras, objects = tuple(note["sizes"]), ObjectLayout(environment.spec.achieved_names).places().values()
     rows: dict[str, list[Array]] = {}
     for t in rng.integers(len(states), size=int(note["per_episode"])):
         environment.set_state(np.array(states[t]))

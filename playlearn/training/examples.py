@@ -7,37 +7,23 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from playlearn.data import Batch, PlayDataset, Variation
-from playlearn.errors import UsageError
+from playlearn.batch import Batch
+from playlearn.data import Augmentation, AugmentedDataset, PlayDataset
 from playlearn.scenes import Scenes
 from playlearn.store import Store
 from playlearn.training.config import TrainConfig
 
 
-def check_cameras(config: TrainConfig, store: Store) -> None:
-    """Raises UsageError where the store lacks a camera; the message says how to come by it."""
-    has = store.cameras()
-    missing = [camera for camera in (*config.data.cameras, *config.data.goal_cameras) if camera not in has]
-    if missing:
-        missing = list(dict.fromkeys(missing))
-        there = ", ".join(f"{camera} {h}x{w}" for camera, (h, w) in has.items()) or "none"
-        wanted = " ".join(f"--camera {camera}=64x64" for camera in missing)
-        drawn = f"`playlearn render {store.name()} OUT {wanted}` draws them from its simulator states"
-        chosen = "name its own in `policy.encoder`"
-        way = drawn if store.array(0, "sim.state").shape[1] else chosen
-        raise UsageError(f"{store.name()} has no images of {', '.join(missing)} (it has: {there}); {way}")
-
-
 def validation_batches(
-    config: TrainConfig, store: Store, vary: Callable[[PlayDataset], Variation] | None = None
+    config: TrainConfig, store: Store, augment: Callable[[PlayDataset], Augmentation] | None = None
 ) -> list[Batch]:
-    """Of held-out play, always the same; none where nothing is held out. vary: what makes variants of a dataset's."""
+    """Of held-out play, always the same; none where nothing is held out. augment: makes a dataset's augmentation."""
     if config.data.val_fraction <= 0 or config.val_batches <= 0:
         return []
     dataset: PlayDataset = config.data.build(store, "val", config.seed)
-    dataset.vary = None if vary is None else vary(dataset)
-    order = dataset.epoch_indices(0)[: config.val_batches * config.batch_size]
-    return [dataset.batch(0, part) for part in _parts(order, config.batch_size)]
+    examples = dataset if augment is None else AugmentedDataset(dataset, augment(dataset))
+    order = examples.epoch_indices(0)[: config.val_batches * config.batch_size]
+    return [examples.batch(0, part) for part in _parts(order, config.batch_size)]
 
 
 def drawn_scenes(config: TrainConfig, folder: Path, episodes: NDArray[np.int64], actions: int) -> Scenes:

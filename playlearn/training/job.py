@@ -16,10 +16,10 @@ import torch
 from accelerate import Accelerator
 from torch import Tensor, nn
 
+from playlearn.batch import Batch
 from playlearn.config import atomic_write, git_revision, save_config, to_dict, versions
 from playlearn.corrections import Corrections, make_corrections
-from playlearn.data import Batch, PlayDataset, statistics
-from playlearn.data.mixture import DatasetMixture, mix_datasets
+from playlearn.data import AugmentedDataset, Part, PlayDataset, build_sources, mix_datasets, statistics
 from playlearn.data.split import val_mask
 from playlearn.errors import NotLearnedError
 from playlearn.executor import interruption_deferred
@@ -29,11 +29,11 @@ from playlearn.policies.checkpoint import load_checkpoint, save_checkpoint
 from playlearn.policies.ema import averaged
 from playlearn.report.outcome import Outcome
 from playlearn.report.progress import Pace, Progress
-from playlearn.scenes import Scenes, draw_scenes, scene_sizes
+from playlearn.scenes import draw_scenes, scene_sizes
 from playlearn.store import Store, open_store
 from playlearn.threads import limit
 from playlearn.training.config import TrainConfig, check_out, flattened, stored_threads
-from playlearn.training.examples import check_cameras, drawn_scenes, validation_batches, validation_scenes
+from playlearn.training.examples import drawn_scenes, validation_batches, validation_scenes
 
 
 def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
@@ -54,7 +54,6 @@ def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
     threads = stored_threads(config, out, resume=resume)
     limit(threads)
     store = open_store(config.store)
-    check_cameras(config, store)
     run = _Run(config, store, out)
     if resume and run.checkpoint.is_file():
         run.load()
@@ -76,13 +75,14 @@ class _Run:
     def __init__(self, config: TrainConfig, store: Store, out: Path) -> None:
         self.config, self.store, self.out = config, store, out
         self.checkpoint = out / "checkpoint" / "last.safetensors"
+        self.data = config.data.build(store, "train", config.seed)
+        self.own: Part = self.data  # what is shown of it
         self.accelerator = Accelerator(
             mixed_precision="bf16" if config.precision == "bf16" else "no",
             cpu=config.cpu,
             log_with=config.tracker,
             project_dir=str(out),
         )
-        self.data = config.data.build(store, "train", config.seed)
         self.val = validation_batches(config, store)
         changes = config.data.target == "next_settled_delta"
         self.spec = PolicySpec(
@@ -95,9 +95,8 @@ class _Run:
             predicts=config.data.target,
             bounded=bool(np.abs(self.data.action).max() <= 1),
         )
-        self.examples: PlayDataset | DatasetMixture | Scenes = mix_datasets(
-            self.data, config.extra_datasets, config.seed
-        )
+        self.sources = build_sources(self.data, config.extra_datasets, config.seed)
+        self.extra: list[tuple[Part, float]] = [*self.sources]
         policy = self._begun()
         policy.to(self.accelerator.device)
         learned = policy.freeze_except(config.trainable)
@@ -146,9 +145,9 @@ class _Run:
         numbers, actions = self.store.indices(), len(self.spec.action_names)
         drawn = drawn_scenes(config, folder, numbers[~out], actions)
         if scenes.fraction < 1:
-            self.examples = mix_datasets(self.data, config.extra_datasets, config.seed, [(drawn, scenes.fraction)])
+            self.extra = [(drawn, scenes.fraction), *self.extra]
             return
-        self.examples = drawn
+        self.own = drawn
         if out.any():
             self.val = validation_scenes(config, drawn_scenes(config, folder, numbers[out], actions))
 
@@ -161,7 +160,7 @@ class _Run:
         if self.accelerator.is_main_process:
             make_corrections(corrections, self.store, self.data.episodes, self.config.data.cameras, folder)
         self.accelerator.wait_for_everyone()
-        self.data.vary = Corrections(folder, self.data, corrections.fraction)
+        self.own = AugmentedDataset(self.data, Corrections(folder, self.data, corrections.fraction))
 
     def perceive(self) -> None:
         """Look at all play through the image encoder that is asked for, and show it as that perceives it."""
@@ -170,14 +169,16 @@ class _Run:
             return
         seeing = perceived.encoder
         self.policy.behind(Policy.load(seeing / "policy"), seeing)  # says where the two do not fit together
-        folder, parts = perceived.folder or self.out / "perceived", [self.data]
-        if isinstance(self.examples, DatasetMixture):
-            parts += [part for part in self.examples.parts if isinstance(part, PlayDataset) and part is not self.data]
-        for number, dataset in enumerate(parts):
+        folder = perceived.folder or self.out / "perceived"
+
+        def augmented(dataset: PlayDataset, number: int) -> Part:
             if self.accelerator.is_main_process:
                 make_perceived(perceived, dataset.store, folder / str(number))
             self.accelerator.wait_for_everyone()
-            dataset.vary = Perceived(folder / str(number), dataset)
+            return AugmentedDataset(dataset, Perceived(folder / str(number), dataset))
+
+        self.own = augmented(self.data, 0)
+        self.extra = [(augmented(source, k), fraction) for k, (source, fraction) in enumerate(self.sources, 1)]
         self.val = validation_batches(self.config, self.store, functools.partial(Perceived, folder / "0"))
 
     def loop(self, interrupted: threading.Event, progress: Progress) -> None:
@@ -185,7 +186,8 @@ class _Run:
         if config.tracker:
             accelerator.init_trackers("playlearn", config=flattened(to_dict(config)))
         rank, ranks = accelerator.process_index, accelerator.num_processes
-        batches = cast(Generator[Batch], self.examples.batches(config.batch_size, self.step, rank, ranks))
+        examples = mix_datasets(self.own, self.extra)
+        batches = cast(Generator[Batch], examples.batches(config.batch_size, self.step, rank, ranks))
         window = _Window()
         if self.val and self.step == 0:
             progress.say(self.judge())

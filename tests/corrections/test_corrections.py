@@ -12,7 +12,7 @@ from safetensors.torch import load_file
 from playlearn.config import from_dict
 from playlearn.corrections import Corrections, CorrectionsConfig, make_corrections
 from playlearn.corrections.response import hand_response, undoing
-from playlearn.data import DataConfig, PlayDataset
+from playlearn.data import AugmentedDataset, DataConfig, PlayDataset
 from playlearn.episode import IMAGES
 from playlearn.errors import StoreError, UsageError
 from playlearn.relabeling import FutureConfig
@@ -147,9 +147,9 @@ def test_another_making_needs_another_folder(store: NativeStore, folder: Path) -
 
 
 def test_a_share_of_the_examples_is_corrected_and_always_the_same(store: NativeStore, folder: Path) -> None:
-    plain, varied = dataset(store, history=3), dataset(store, history=3)
-    corrections = Corrections(folder, varied, fraction=0.5)
-    varied.vary = corrections
+    plain = dataset(store, history=3)
+    corrections = Corrections(folder, plain, fraction=0.5)
+    varied = AugmentedDataset(plain, corrections)
     indices = np.arange(len(plain))
     one, other = varied.batch(4, indices), plain.batch(4, indices)
     changed = (one.state[:, -1] != other.state[:, -1]).any(dim=1).numpy()

@@ -32,7 +32,7 @@ def test_a_change_is_what_the_next_settled_moment_will_differ_in(tmp_path: Path)
         dataclasses.replace(config, chunk=8).build(store, "train", 0)
 
 
-def test_a_detour_teaches_no_proposer(tmp_path: Path) -> None:
+def test_a_detour_is_no_target_of_a_high_level_policy(tmp_path: Path) -> None:
     """Red goes away (settled at 56) and comes back (106), then the lamp goes on (156).
 
     Of the goals one to three settled moments ahead, those of the time before 50 are: red away (nearer: counts), red

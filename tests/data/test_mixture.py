@@ -12,9 +12,10 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from playlearn.batch import Batch
 from playlearn.config import from_dict
-from playlearn.data import Batch, DataConfig, PlayDataset
-from playlearn.data.mixture import DatasetMixture, DatasetSource, mix_datasets
+from playlearn.data import DataConfig, PlayDataset
+from playlearn.data.mixture import DatasetMixture, DatasetSource, build_sources, mix_datasets
 from playlearn.errors import CheckpointError, StoreError, UsageError
 from playlearn.policies import Policy
 from playlearn.relabeling import FinalConfig
@@ -50,7 +51,7 @@ def same(one: Batch, other: Batch) -> bool:
     return all(torch.equal(getattr(one, name), getattr(other, name)) for name in names)
 
 
-def test_every_part_gets_its_share_of_any_stretch(stores: list[Path]) -> None:
+def test_every_part_gets_its_fraction_of_any_stretch(stores: list[Path]) -> None:
     """Of 1,000 places 500 and 200, wherever they begin, to within 1 a part; and a part's own places leave none out."""
     first, second, own = parts(stores)
     mixed = DatasetMixture(own, [(first, 0.5), (second, 0.2)])
@@ -89,16 +90,18 @@ def test_what_cannot_be_mixed_is_refused(stores: list[Path], tmp_path: Path) -> 
     first, second, own = parts(stores)
     with pytest.raises(UsageError, match="add up to 1"):
         DatasetMixture(own, [(first, 0.5), (second, 0.5)])
-    for share in (0.0, 1.0, -0.2):
+    with pytest.raises(UsageError, match="add up to 1"):
+        build_sources(own, [DatasetSource(stores[0], 0.5), DatasetSource(stores[1], 0.5)], 0)
+    for fraction in (0.0, 1.0, -0.2):
         with pytest.raises(UsageError, match="between 0 and 1"):
-            DatasetSource(stores[0], share)
+            DatasetSource(stores[0], fraction)
     with pytest.raises(StoreError, match="no store"):
-        mix_datasets(own, [DatasetSource(tmp_path / "nowhere", 0.5)], 0)
-    assert mix_datasets(own, [], 0) is own
+        build_sources(own, [DatasetSource(tmp_path / "nowhere", 0.5)], 0)
+    assert mix_datasets(own, []) is own
     make_store(tmp_path / "seen", np.random.default_rng(0), episodes=2, steps=20, cameras=("front",))
     seeing = replace(CONFIG, cameras=("front",)).build(open_store(tmp_path / "seen"), "train", 0)
     with pytest.raises(UsageError, match="another size of front"):
-        mix_datasets(seeing, [DatasetSource(stores[0], 0.5)], 0)
+        build_sources(seeing, [DatasetSource(stores[0], 0.5)], 0)
 
 
 @pytest.mark.slow
@@ -148,7 +151,7 @@ def test_a_source_is_cut_as_the_policy_asks() -> None:
     assert from_dict(type(resolved), {"store": "play"}).extra_datasets == ()
 
 
-def test_what_does_not_fit_is_told_of_both(tmp_path: Path) -> None:
+def test_a_difference_is_reported_of_both_stores(tmp_path: Path) -> None:
     mine = make_store(tmp_path / "mine", np.random.default_rng(0), 2, 60)
     episode = make_episode(np.random.default_rng(0), 60)
     meta = replace(episode.meta, fps=10.0, action_names=("dx", "dy", "dz", "grip"))
@@ -158,4 +161,4 @@ def test_what_does_not_fit_is_told_of_both(tmp_path: Path) -> None:
     own = PlayDataset(mine, DataConfig(val_fraction=0))
     words = r"another action_names \(it has grip; it lacks gripper\), fps \(10.0, not 20.0\) than"
     with pytest.raises(UsageError, match=words):
-        mix_datasets(own, [DatasetSource(tmp_path / "other", 0.5)], 0)
+        build_sources(own, [DatasetSource(tmp_path / "other", 0.5)], 0)

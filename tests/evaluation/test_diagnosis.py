@@ -86,7 +86,7 @@ def test_the_error_of_the_skills_is_the_error_of_the_whole(run: Path) -> None:
     assert set(rows) <= {"fetch", "carry", "press", "rest"}
     store = play(run.parent / "again")
     dataset = DataConfig(chunk=8, val_fraction=0.25).build(store, "val", 0)
-    batch = dataset.recorded(0, np.arange(len(dataset)))
+    batch = dataset.batch(0, np.arange(len(dataset)))
     with torch.no_grad():
         planned = Policy.load(run / "policy").eval().act(batch, torch.Generator().manual_seed(0))
     whole = float((planned - batch.action)[:, 0].abs().mean())

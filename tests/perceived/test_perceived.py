@@ -11,7 +11,7 @@ import torch
 
 from playlearn.config import from_dict
 from playlearn.dagger import DaggerConfig, dagger
-from playlearn.data import DataConfig
+from playlearn.data import AugmentedDataset, DataConfig
 from playlearn.errors import CheckpointError, UsageError
 from playlearn.perceived import Perceived, PerceivedConfig, make_perceived
 from playlearn.perceived.vary import nearest
@@ -48,8 +48,8 @@ def test_examples_carry_what_the_encoder_gets_wrong_and_the_labels_of_the_truth(
     """At a moment that was looked at, an example's numbers are the estimates themselves."""
     store = NativeStore.open(folder / "play")
     make_perceived(PerceivedConfig(folder / "encoder", every=3), store, tmp_path, workers=0)
-    plain, varied = (DataConfig(history=2, chunk=4, val_fraction=0.0).build(store, "train", 5) for _ in range(2))
-    varied.vary = Perceived(tmp_path, varied)
+    plain = DataConfig(history=2, chunk=4, val_fraction=0.0).build(store, "train", 5)
+    varied = AugmentedDataset(plain, Perceived(tmp_path, plain))
     indices = np.arange(0, len(plain), 7)
     before, after = plain.batch(3, indices), varied.batch(3, indices)
     for entry in dataclasses.fields(before):
@@ -147,7 +147,7 @@ def test_what_cannot_be_perceived_is_refused(folder: Path, tmp_path: Path) -> No
     store = NativeStore.open(folder / "play")
     with pytest.raises(CheckpointError, match="no run at"):
         make_perceived(PerceivedConfig(tmp_path / "none"), store, tmp_path / "a", workers=0)
-    with pytest.raises(UsageError, match="cannot tell where things are"):
+    with pytest.raises(UsageError, match="makes no pose estimates"):
         make_perceived(PerceivedConfig(folder / "state"), store, tmp_path / "b", workers=0)
     told = {"encoder": str(folder / "encoder")}
     with pytest.raises(UsageError, match="looks at images itself"):

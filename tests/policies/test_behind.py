@@ -101,7 +101,7 @@ def test_eval_looks_through_it(folder: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_it_practices_so_and_goes_on_learning_from_states(folder: Path, tmp_path: Path) -> None:
+def test_dagger_rolls_it_out_so_and_continues_training_on_states(folder: Path, tmp_path: Path) -> None:
     """What it met behind the encoder is kept without images, and teaches the state policy."""
     fields = {
         "rollout_suite": str(folder / "suite.yaml"),

@@ -54,7 +54,7 @@ def test_only_training_withholds(option: str) -> None:
     assert not torch.equal(loss(with_it, batch), loss(without, batch))
 
 
-def test_the_share_is_what_was_asked_for() -> None:
+def test_the_fraction_is_the_configured_one() -> None:
     """Of 4,000 examples 1,200 +- 29 (one standard deviation) lose their past at a share of 0.3."""
     policy, seen = made(history_dropout=0.3), []
     policy.trunk.register_forward_hook(lambda _, given, __: seen.append(given[1]))
@@ -74,6 +74,6 @@ def test_what_is_not_withheld_changes_no_draw() -> None:
     assert torch.equal(used.get_state(), after.get_state())
 
 
-def test_a_share_beyond_one_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"history_dropout is a share.*got 1\.5"):
+def test_a_fraction_above_one_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"history_dropout is a fraction.*got 1\.5"):
         PolicyConfig(history_dropout=1.5)

@@ -9,7 +9,7 @@ import torch
 from safetensors.torch import load_file
 
 from playlearn.errors import UsageError
-from playlearn.policies import Policy
+from playlearn.policies import Policy, PolicyConfig
 from playlearn.policies.encoders.cameras import pixels, random_shift
 from playlearn.policies.encoders.cnn import SpatialSoftmax
 from playlearn.policies.encoders.objects import ObjectTokens
@@ -48,7 +48,7 @@ def test_with_an_estimate_too_a_withheld_goal_leaves_no_trace(fusion: str) -> No
     assert torch.equal(made.act(batch, generator(), guidance=0.0), made.act(elsewhere, generator(), guidance=0.0))
 
 
-def test_the_auxiliary_loss_shapes_the_estimate_and_the_policy_only_if_told() -> None:
+def test_the_auxiliary_loss_trains_the_estimate_and_the_policy_only_if_configured() -> None:
     """Detached, the policy's loss gives the estimate's own layers no gradient; attached, it does."""
     for detached in (True, False):
         made = policy("cnn", encoder_options={**ESTIMATE, "detach_estimate": detached})
@@ -73,6 +73,13 @@ def test_goal_names_choose_what_a_goal_speaks_of() -> None:
     assert not torch.equal(made.act(dataclasses.replace(batch, goal_achieved=red), generator()), plain)
     with pytest.raises(UsageError, match=r"'green\.\*' matches none of: red\.x"):
         policy("state", encoder_options={"goal_names": ["green.*"]})
+
+
+def test_a_policy_that_is_left_without_a_goal_is_refused_by_name() -> None:
+    with pytest.raises(UsageError, match=r"encoder\.goal_names is \[\].*without a goal; name some of red\.x"):
+        policy("state", encoder_options={"goal_names": []})
+    with pytest.raises(UsageError, match=r"this play records none: the policy is left without a goal"):
+        PolicyConfig().build(dataclasses.replace(SPEC, achieved_names=()), None, seed=0)
 
 
 @pytest.mark.parametrize(
@@ -161,7 +168,7 @@ def test_objects_of_one_kind_are_seen_through_the_same_weights() -> None:
     assert not torch.allclose(tokens[:, :, 0], tokens[:, :, 1])
 
 
-def test_an_object_token_knows_of_itself_and_the_hand_alone() -> None:
+def test_an_object_token_depends_only_on_its_object_and_the_gripper() -> None:
     """Moving blue, or blue's goal, leaves the tokens of red, the drawer and the robot as they were."""
     made, state, achieved, goal = object_tokens()
     keep = torch.ones(4, dtype=torch.bool)
@@ -269,10 +276,10 @@ def test_weights_are_used_kept_frozen_and_never_asked_for_again(fusion: str, tmp
     ("options", "message"),
     [
         ({"name": "resnt", "options": {}}, "encoder.name 'resnt'"),
-        ({"name": "bert", "options": {}, "fusion": "late"}, "'bert' does not see a 16x16 image"),
+        ({"name": "bert", "options": {}, "fusion": "late"}, "'bert' does not read a 16x16 image"),
         ({"name": "vit", "options": {"depth": 3}}, "the config of vit has no field 'depth'"),
         ({"frozen": True}, "frozen needs encoder.weights"),
-        ({"weights": "nowhere/at-all"}, "'nowhere/at-all' cannot be had.*set encoder.weights to null"),
+        ({"weights": "nowhere/at-all"}, "'nowhere/at-all' cannot be loaded.*set encoder.weights to null"),
     ],
 )
 def test_a_vision_model_that_cannot_be_says_why(

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import torch
 
+from playlearn.batch import Inputs
 from playlearn.episode import Goal, Observation
 from playlearn.errors import UsageError
-from playlearn.policies import Inputs, PolicyActor
+from playlearn.policies import PolicyActor
 from tests.policies.parts import SPEC, A, G, H, S, policy
 
 
@@ -112,7 +113,7 @@ def test_an_episode_is_a_function_of_its_seed() -> None:
     assert not np.array_equal(one.action, two.action), "another seed must draw another chunk"
 
 
-def test_a_plan_keeps_its_luck_for_as_long_as_the_head_says() -> None:
+def test_plans_reuse_their_noise_for_as_long_as_the_head_asks() -> None:
     """The same is seen at every step, so only luck can change what is done: here with every third chunk."""
     made = policy(head="diffusion")
     made.head.noise_repeat = 3

@@ -65,7 +65,7 @@ def test_shown_either_way_it_reads_what_it_is_given(encoder: str, options: dict[
 
 @pytest.mark.slow
 @looking
-def test_training_shows_a_share_of_images(encoder: str, options: dict[str, Any]) -> None:
+def test_training_gives_a_fraction_of_goal_images(encoder: str, options: dict[str, Any]) -> None:
     """At a share of 1 a goal's state changes nothing but what images must tell on the side; at 0 its image does not."""
     batch = examples(8)
     elsewhere = examples(8, seed=3)
@@ -81,13 +81,13 @@ def test_training_shows_a_share_of_images(encoder: str, options: dict[str, Any])
         assert not torch.equal(opposite(batch, generator())[1]["head"], opposite(other, generator())[1]["head"])
 
 
-def test_the_share_of_images_is_what_was_asked_for() -> None:
+def test_the_fraction_of_goal_images_is_the_configured_one() -> None:
     """Of 4,000 examples 1,000 +- 27 (one standard deviation) are shown an image at a share of a quarter."""
     config = policy("cnn", encoder_options={"goal": "both", "image_goal_prob": 0.25}).config.encoder
     assert isinstance(config, CamerasConfig)
     many = examples(4000)
-    assert config.pictured(many, generator()).sum().item() == pytest.approx(1000, abs=4 * 27)
-    assert config.pictured(many, None).all(), "without a draw, what there is to be seen is seen"
+    assert config.has_goal_image(many, generator()).sum().item() == pytest.approx(1000, abs=4 * 27)
+    assert config.has_goal_image(many, None).all(), "without a draw, what there is to be seen is seen"
 
 
 def test_a_goal_of_the_arm_is_read_where_it_was_asked_for() -> None:
@@ -100,7 +100,7 @@ def test_a_goal_of_the_arm_is_read_where_it_was_asked_for() -> None:
         assert torch.equal(made.act(elsewhere, generator(), guidance=0.0), forgot)
 
 
-def test_an_actor_shows_a_policy_the_goal_it_is_told_to() -> None:
+def test_an_actor_gives_a_policy_the_configured_kind_of_goal() -> None:
     frames = {camera: np.zeros((*size, 3), np.uint8) for camera, size in SPEC.cameras.items()}
     whole = Goal(np.zeros(G, np.float32), frames, np.zeros(S, np.float32))
     blind = dataclasses.replace(whole, images={})
@@ -110,7 +110,7 @@ def test_an_actor_shows_a_policy_the_goal_it_is_told_to() -> None:
         PolicyActor(both, n_action_steps=2, goal="image").reset([blind], [0])
     with pytest.raises(UsageError, match="from state, not from image"):
         PolicyActor(policy(), n_action_steps=2, goal="image")
-    bodiless = dataclasses.replace(whole, state=None)
-    PolicyActor(policy(), n_action_steps=2).reset([bodiless], [0])
-    with pytest.raises(UsageError, match="say where the arm is"):
-        PolicyActor(policy(encoder_options={"goal_proprio": True}), n_action_steps=2).reset([bodiless], [0])
+    stateless = dataclasses.replace(whole, state=None)
+    PolicyActor(policy(), n_action_steps=2).reset([stateless], [0])
+    with pytest.raises(UsageError, match="goals with the robot's state \\(goal_proprio\\)"):
+        PolicyActor(policy(encoder_options={"goal_proprio": True}), n_action_steps=2).reset([stateless], [0])

@@ -15,10 +15,10 @@ from playlearn.policies.hierarchical import SubgoalActor
 from tests.policies.parts import SPEC, examples, policy
 
 
-class Worker:
+class LowLevel:
     """Believes what it sees, remembers what it is shown, plans every second step."""
 
-    name, cameras, n_action_steps = "worker", (), 2
+    name, cameras, n_action_steps = "low", (), 2
 
     def __init__(self) -> None:
         self.policy = policy()
@@ -39,10 +39,10 @@ class Worker:
         return [Decision(np.full(2, 0.5, np.float32)) for _ in observations]
 
 
-class Proposer:
+class HighLevel:
     """Half of what is left to the goal."""
 
-    name, reads = "proposer", "state"
+    name, reads = "high", "state"
 
     def __init__(self) -> None:
         self.policy = policy("cnn")
@@ -68,67 +68,67 @@ def at(x: float) -> Array:
     return np.array([x, 0.0, 0.0, 0.0], np.float32)
 
 
-def made(steps: int) -> tuple[SubgoalActor, Worker, Proposer]:
-    worker, proposer = Worker(), Proposer()
-    parts: list[Any] = [worker, proposer]
-    return SubgoalActor(*parts, lambda now, goal: bool(abs(now - goal).max() < 0.01), steps), worker, proposer
+def made(steps: int) -> tuple[SubgoalActor, LowLevel, HighLevel]:
+    low, high = LowLevel(), HighLevel()
+    parts: list[Any] = [low, high]
+    return SubgoalActor(*parts, lambda now, goal: bool(abs(now - goal).max() < 0.01), steps), low, high
 
 
 def test_a_subgoal_stays_until_it_is_reached_or_its_time_is_over() -> None:
-    """Both are looked at every second step, when the worker plans: row 0 reaches 0.5 at step 3, row 1 never moves."""
-    actor, worker, _ = made(steps=5)
+    """Checked when the low-level policy plans, each second step: row 0 gets to 0.5 at step 3, row 1 nowhere."""
+    actor, low, _ = made(steps=5)
     actor.reset(goals(1.0, 2.0), [7, 8])
     for place in (0.0, 0.1, 0.2, 0.5, 0.5, 0.6, 0.7):
         decisions = actor.act(seen(place, 0.0), [True, True])
-    assert worker.shown == [(0, 0, 0.5), (0, 1, 1.0), (4, 0, 0.75), (6, 1, 1.0)]
+    assert low.shown == [(0, 0, 0.5), (0, 1, 1.0), (4, 0, 0.75), (6, 1, 1.0)]
     np.testing.assert_array_equal(decisions[0].action, [0.5, 0.5])
     actor.reset(goals(1.0, 2.0), [7, 8])
     actor.act(seen(0.0, 0.0), [True, False])
-    assert worker.shown[4:] == [(0, 0, 0.5)], "it begins anew, and proposes nothing to a row that is over"
+    assert low.shown[4:] == [(0, 0, 0.5)], "it begins anew, and proposes nothing to a row that is over"
 
 
 @pytest.mark.parametrize("reads", ["state", "image"])
 def test_what_is_near_is_asked_for_exactly(reads: str) -> None:
     """In spreads: red is to be 0.2 beside its goal, the drawer 0.2 off where it is, the lamp halfway, 1 from either.
 
-    A proposer that is shown an image cannot be told by its goal where red is to be.
+    A high-level policy that gets a goal image does not know the goal pose of red.
     """
-    actor, worker, proposer = made(steps=5)
-    proposer.reads = reads
-    spread = worker.policy.normalizer.get_buffer("achieved_std").numpy()
+    actor, low, high = made(steps=5)
+    high.reads = reads
+    spread = low.policy.normalizer.get_buffer("achieved_std").numpy()
     goal = spread * np.array([4.0, 0.0, 0.0, 2.0], np.float32)
     change = spread * np.array([4.2, 0.1, 0.2, 1.0], np.float32)
-    proposer.act = lambda observations, active: [Decision(change)]  # type: ignore[method-assign]
+    high.act = lambda observations, active: [Decision(change)]  # type: ignore[method-assign]
     actor.reset([Goal(goal)], [0])
     actor.act(seen(0.0), [True])
     red = [4.0, 0.0] if reads == "state" else [4.2, 0.1]
-    np.testing.assert_allclose(worker.last / spread, [*red, 0.0, 1.0], rtol=1e-5)
+    np.testing.assert_allclose(low.last / spread, [*red, 0.0, 1.0], rtol=1e-5)
 
 
 def test_a_proposal_of_nothing_new_is_no_subgoal() -> None:
     """The far goal is shown in its stead, and the next look is soon, though a subgoal would have 50 steps."""
-    actor, worker, proposer = made(steps=50)
-    proposer.act = lambda observations, active: [Decision(at(0.0))]  # type: ignore[method-assign]
+    actor, low, high = made(steps=50)
+    high.act = lambda observations, active: [Decision(at(0.0))]  # type: ignore[method-assign]
     actor.reset(goals(1.0), [0])
     for _ in range(4):
         actor.act(seen(0.0), [True])
-    assert worker.shown == [(0, 0, 1.0), (2, 0, 1.0)]
+    assert low.shown == [(0, 0, 1.0), (2, 0, 1.0)]
 
 
-def test_each_has_luck_of_its_own_and_sees_what_either_needs() -> None:
-    actor, worker, proposer = made(steps=5)
+def test_each_policy_has_noise_of_its_own_and_gets_the_images_it_needs() -> None:
+    actor, low, high = made(steps=5)
     actor.reset(goals(1.0, 2.0), [7, 8])
-    assert worker.seeds == [7, 8], "the worker's is what it would be without a proposer"
-    assert len({*proposer.seeds, *worker.seeds}) == 4
+    assert low.seeds == [7, 8], "the low-level policy's is what it would be without a high-level policy"
+    assert len({*high.seeds, *low.seeds}) == 4
     assert actor.cameras == ("front", "wrist"), "where a subgoal is due"
     actor.act(seen(0.0, 0.0), [True, True])
-    assert actor.cameras == (), "while the worker carries out its plan"
+    assert actor.cameras == (), "while the low-level policy executes its plan"
 
 
-def test_a_worker_whose_goals_say_where_the_arm_is_is_refused() -> None:
-    worker = Worker()
-    worker.policy = policy(encoder_options={"goal_proprio": True})
-    parts: list[Any] = [worker, Proposer()]
+def test_a_low_level_policy_whose_goals_hold_the_robots_state_is_refused() -> None:
+    low = LowLevel()
+    low.policy = policy(encoder_options={"goal_proprio": True})
+    parts: list[Any] = [low, HighLevel()]
     with pytest.raises(UsageError, match="goal_proprio"):
         SubgoalActor(*parts, lambda now, goal: False, 5)
 
@@ -168,5 +168,5 @@ def test_what_is_believed_is_seen_where_there_are_cameras() -> None:
         normal = reader.encoder(reader._normalized(told), keep).observed
     assert normal is not None
     torch.testing.assert_close(reader.normalizer.normalize("achieved", estimate_achieved), normal[:, -1])
-    with pytest.raises(UsageError, match="cannot tell where things are"):
+    with pytest.raises(UsageError, match="makes no pose estimates"):
         policy("cnn", encoder_options={**looking, "state_supervision": 0.0}).estimate_achieved(told)

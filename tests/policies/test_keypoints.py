@@ -9,7 +9,6 @@ from playlearn.errors import UsageError
 from playlearn.policies import PolicySpec
 from playlearn.policies.encoders import KeypointsConfig
 from playlearn.policies.encoders.keypoints import Glimpses, cell_centers, heatmap_loss
-from playlearn.policies.inputs import placed_objects
 from tests.policies.parts import S, examples, generator, policy
 
 SEEING = {"fusion": "late", "state_supervision": 1.0, "use_estimated_state": True, "feed_cameras": []}
@@ -20,11 +19,6 @@ PLACED = PolicySpec(
     fps=20.0,
     cameras={"front": (16, 16), "wrist": (16, 16)},
 )
-
-
-def test_only_what_has_a_place_is_a_keypoint() -> None:
-    names = ("red.x", "red.y", "red.z", "red.c", "drawer.opening", "pad.x", "pad.y", "blue.z", "blue.y", "blue.x")
-    assert placed_objects(names) == {"red": (0, 1, 2), "blue": (9, 8, 7)}
 
 
 def test_the_best_heatmap_points_exactly_at_its_point() -> None:

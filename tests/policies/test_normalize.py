@@ -16,7 +16,7 @@ def test_restore_undoes_normalize() -> None:
     torch.testing.assert_close(normalizer.restore("state", normalizer.normalize("state", values)), values)
 
 
-def test_data_comes_out_with_zero_mean_and_unit_spread() -> None:
+def test_data_comes_out_with_zero_mean_and_unit_std() -> None:
     data = np.random.default_rng(0).normal(3, 0.2, (1000, 2))
     normalizer = Normalizer({"state": Spread(data.mean(0), data.std(0))})
     out = normalizer.normalize("state", torch.tensor(data, dtype=torch.float32))
@@ -36,7 +36,7 @@ def test_an_action_that_is_hardly_used_counts_as_a_quarter_of_the_largest_and_co
     torch.testing.assert_close(normalizer.restore("action", normalizer.normalize("action", actions)), actions)
 
 
-def test_quantities_of_one_part_name_share_their_scale() -> None:
+def test_dimensions_of_one_quantity_share_their_scale() -> None:
     """Two `x` of means 0 and 2 and spread 1 pool to mean 1 and spread sqrt(1 + 1); `y` stands alone."""
     given = {"state": Spread(np.array([0.0, 5.0]), np.ones(2)), "achieved": Spread(np.array([2.0]), np.ones(1))}
     made = pooled(given, {"state": ("eef.x", "eef.y"), "achieved": ("red.x",)})

@@ -4,7 +4,7 @@ import numpy as np
 
 from playlearn.relabeling import leads_to_failure
 
-NAMES = ("push", "push:mistake", "push:planned:slip", "open:gave_up", "open", "open:again", "push:pause")
+NAMES = ("push", "push:mistake", "push:open_loop:slip", "open:gave_up", "open", "open:again", "push:pause")
 
 
 def failing(*pieces: tuple[int, str]) -> str:
@@ -14,7 +14,7 @@ def failing(*pieces: tuple[int, str]) -> str:
 
 
 def test_steps_fail_up_to_the_failure_and_recover_after_it() -> None:
-    assert failing((3, "push"), (2, "push:planned:slip"), (3, "push")) == "xxxxx---"
+    assert failing((3, "push"), (2, "push:open_loop:slip"), (3, "push")) == "xxxxx---"
     assert failing((1, "push"), (1, "push:mistake"), (1, "push"), (1, "push:mistake"), (2, "push")) == "xxxx--"
 
 

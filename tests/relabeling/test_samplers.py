@@ -288,8 +288,8 @@ def test_mixture_goes_on_with_those_that_can() -> None:
         (UniformConfig(horizon=0.0), "uniform.horizon"),
         (GeometricConfig(mean=-1.0), "geometric.mean"),
         (FixedConfig(seconds=0.0), "fixed.seconds"),
-        (MixtureConfig([]), "mixture.shares"),
-        (MixtureConfig([WeightedSampler(FinalConfig(), 0.0)]), "mixture.shares.weight"),
+        (MixtureConfig([]), "mixture.samplers"),
+        (MixtureConfig([WeightedSampler(FinalConfig(), 0.0)]), "mixture.samplers.weight"),
     ],
 )
 def test_a_setting_out_of_range_is_named(config: GoalSamplerConfig, field: str) -> None:

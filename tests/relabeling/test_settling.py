@@ -6,7 +6,7 @@ import pytest
 from playlearn.errors import UsageError
 from playlearn.relabeling import RelabelIndex, SettlingConfig
 from playlearn.relabeling.calibrate import CHANGE_OF_MOVE, CHANGE_OF_NOISE, FINEST, REST_OF_MOVE, measure
-from playlearn.relabeling.settling import matching, thresholds
+from playlearn.relabeling.settling import thresholds
 from tests.synthetic import ACHIEVED, FPS, make_episode
 
 WINDOW = SettlingConfig().window(FPS)
@@ -64,7 +64,7 @@ def test_other_units_scale_them(play: list[np.ndarray], factor: float) -> None:
         np.testing.assert_allclose(after, before * scale, rtol=1e-6)
 
 
-def test_things_of_one_kind_share_theirs_in_whatever_order(play: list[np.ndarray]) -> None:
+def test_dimensions_of_one_quantity_share_theirs_in_any_order(play: list[np.ndarray]) -> None:
     """A thing that was hardly touched is judged by how far its like are moved."""
     nudged = [np.concatenate([one, 0.01 * one[:, :1]], axis=1) for one in play]
     names = (*ACHIEVED, "green.x")
@@ -122,8 +122,3 @@ def test_thresholds_match_patterns_and_the_last_counts() -> None:
 def test_a_name_without_a_threshold_is_refused(patterns: dict[str, float | None]) -> None:
     with pytest.raises(UsageError, match=r"settling\.rest: lamp\.on"):
         thresholds({"red.x": 0.1, **patterns}, ("red.x", "lamp.on"), "rest")
-
-
-def test_matching_keeps_the_order_of_the_names() -> None:
-    assert matching(("red.x", "blue.x", "lamp.on"), ("lamp*", "red.*")) == [0, 2]
-    assert matching((), ("*",)) == []

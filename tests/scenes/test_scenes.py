@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from playlearn.config import from_dict
-from playlearn.data.mixture import mix_datasets
+from playlearn.data import mix_datasets
 from playlearn.data.split import val_episodes
 from playlearn.envs import PlayTableConfig, StackConfig
 from playlearn.envs.playtable.layout import BLOCK_NAMES, block
@@ -102,7 +102,7 @@ def test_play_and_scenes_mix(store: NativeStore, tmp_path: Path) -> None:
     scenes = drawn(store, tmp_path / "drawn", [])
     scenes.state, scenes.achieved = np.zeros((len(scenes), 4), np.float32), np.zeros((len(scenes), 7), np.float32)
     scenes._shape = 4, 4
-    batch = next(mix_datasets(own, (), 0, [(scenes, 0.25)]).batches(16))
+    batch = next(mix_datasets(own, [(scenes, 0.25)]).batches(16))
     assert batch.action_mask.any(dim=1).sum() >= 8
     assert (~batch.action_mask.any(dim=1)).sum() >= 4
     assert torch.isnan(batch.keypoints["front"]).flatten(1).all(dim=1).sum() in (0, 12, 16)

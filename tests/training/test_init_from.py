@@ -94,10 +94,11 @@ def test_what_does_not_fit_is_refused(play: Path, started: Path, tmp_path: Path)
         {"type": "state", "hidden": 8},
     ):
         with pytest.raises(
-            UsageError, match=r"init: the policy of .* has another .*; eyes for a policy of states need"
+            UsageError,
+            match=r"init_from: the policy of .* has another .*: copy the `policy` block of that run; to start an image",
         ):
             train(config(play, encoder, init_from=str(started)), tmp_path / "run")
-    with pytest.raises(UsageError, match=r"learn: 'eyes' names no parameter; there are encoder\.estimate"):
+    with pytest.raises(UsageError, match=r"trainable: 'eyes' matches no parameter; there are encoder\.estimate"):
         train(config(play, SEEING, trainable=["eyes"]), tmp_path / "run")
 
 

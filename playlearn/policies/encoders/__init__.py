@@ -1,4 +1,4 @@
-"""Encoders: what turns observations and goals into tokens, one file a kind."""
+"""Encoders: from observations and goals to tokens, one file a kind."""
 
 from playlearn.policies.encoders.base import Encoder, EncoderConfig, Modality, Tokens
 from playlearn.policies.encoders.cnn import CNNConfig

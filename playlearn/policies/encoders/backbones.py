@@ -1,4 +1,4 @@
-"""What ready-made vision networks need before they see for a policy: their scale, no batch norm, frozen or not."""
+"""How existing vision networks become backbones: their input scale, no batch norm, frozen or not."""
 
 from typing import Self
 
@@ -9,21 +9,21 @@ IMAGENET = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
 class Scale(nn.Module):
-    """[-1, 1] to the mean and spread, of colors in 0 to 1, that a network's weights were trained with."""
+    """Images in [-1, 1] to the mean and std that a network was trained with; those are of colors in 0 to 1."""
 
     def __init__(self, channels: int, mean: tuple[float, ...], std: tuple[float, ...]) -> None:
         super().__init__()
         repeat = channels // 3
-        middle, spread = 2 * torch.tensor(mean) - 1, 2 * torch.tensor(std)
-        self.register_buffer("mean", middle.repeat(repeat)[:, None, None], persistent=False)
-        self.register_buffer("std", spread.repeat(repeat)[:, None, None], persistent=False)
+        center, scale = 2 * torch.tensor(mean) - 1, 2 * torch.tensor(std)
+        self.register_buffer("mean", center.repeat(repeat)[:, None, None], persistent=False)
+        self.register_buffer("std", scale.repeat(repeat)[:, None, None], persistent=False)
 
     def forward(self, images: Tensor) -> Tensor:
         return (images - self.get_buffer("mean")) / self.get_buffer("std")
 
 
 class Frozen(nn.Module):
-    """A network that is used as it is: no gradient, no dropout, no statistics of its own."""
+    """A network that is not trained: no gradient, no dropout, no update of statistics."""
 
     def __init__(self, body: nn.Module) -> None:
         super().__init__()
@@ -41,7 +41,7 @@ class Frozen(nn.Module):
 
 
 def replace_batch_norm(module: nn.Module, *, pretrained: bool) -> None:
-    """From scratch by group norm, pretrained by its own statistics: an example never depends on its neighbors."""
+    """Group norm from scratch, frozen statistics where pretrained: examples of a batch stay independent."""
     from torchvision.ops import FrozenBatchNorm2d
 
     for name, child in module.named_children():
@@ -59,6 +59,6 @@ def replace_batch_norm(module: nn.Module, *, pretrained: bool) -> None:
 
 
 def widened(weight: Tensor, channels: int) -> Tensor:
-    """(O, C, k, k) weights of a first layer, shared out among the images that (O, channels, k, k) ones read at once."""
+    """(O, C, k, k) weights of a first layer, divided among the images that (O, channels, k, k) ones read at once."""
     repeat = channels // weight.shape[1]
     return weight.repeat(1, repeat, 1, 1) / repeat

@@ -8,7 +8,8 @@ import draccus
 import torch
 from torch import Tensor, nn
 
-from playlearn.policies.inputs import Inputs, Observed, PolicySpec
+from playlearn.batch import Inputs
+from playlearn.policies.spec import PolicySpec
 
 Modality = Literal["state", "image"]
 
@@ -17,45 +18,54 @@ Modality = Literal["state", "image"]
 class EncoderConfig(draccus.ChoiceRegistry):
     """The base of every encoder's config; `type:` in a YAML picks the kind.
 
-    goal_names: shell-style patterns of the achieved dimensions that a goal speaks of.
+    goal_names: shell-style patterns of the achieved dimensions that a goal covers.
     """
 
     goal_names: tuple[str, ...] = ("*",)
 
     @property
     def goals(self) -> tuple[Modality, ...]:
-        """What a goal may be shown as; the first where nothing else is said."""
+        """How a goal may be given; the first is the default."""
         raise NotImplementedError
 
     @property
     def observation_cameras(self) -> tuple[str, ...]:
-        """The cameras an observation must bring."""
+        """The cameras whose images an observation must hold."""
         return ()
 
     @property
     def goal_cameras(self) -> tuple[str, ...]:
-        """The cameras a goal that is an image must bring."""
+        """The cameras whose images a goal image must hold."""
         return ()
 
     @property
     def uses_goal_proprio(self) -> bool:
-        """Whether a goal must bring the robot's own state."""
+        """Whether a goal must hold the robot's own state."""
         return False
 
     def complete(self) -> "EncoderConfig":
-        """The same with all that building takes, so that what is saved can be built without asking the network."""
+        """The same with everything that building needs, so that a saved policy is built without network access."""
         return self
 
     def build(self, spec: PolicySpec, width: int, *, fetch: bool = True) -> "Encoder":
-        """width: D of a token. fetch: whether weights may be downloaded, if the config asks for any."""
+        """The encoder.
+
+        width: D of a token.
+        fetch: whether weights may be downloaded, if the config asks for any.
+        """
         raise NotImplementedError
 
 
 @dataclass(frozen=True, eq=False)
 class Tokens:
-    """goal (B, N, D), steps (B, T, M, D); estimates of the normalized achieved, (B, T, G) and (B, G), where made.
+    """What an encoder returns.
 
-    heatmaps, goal_heatmaps: camera -> (B, T, K, h, w) and (B, K, h, w) logits, of encoders that make them.
+    goal: (B, N, D).
+    steps: (B, T, M, D).
+    observed: (B, T, G) estimates of the normalized `achieved`, of encoders that make them.
+    wanted: (B, G) estimates of the normalized `achieved` of the goal.
+    heatmaps: camera -> (B, T, K, h, w) logits, of encoders that make them.
+    goal_heatmaps: camera -> (B, K, h, w) logits, of the goal image.
     """
 
     goal: Tensor
@@ -72,23 +82,25 @@ class Encoder(nn.Module):
     goal_tokens: int
     step_tokens: int
 
-    def forward(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
-        """inputs: state and achieved normalized, images uint8. keep: (B,) bool, False where the goal is withheld.
+    def forward(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
+        """The tokens.
 
+        inputs: state and achieved normalized, images uint8.
+        keep: (B,) bool, False where the goal is dropped.
         generator: draws the augmentation; None for none (evaluation).
         """
         raise NotImplementedError
 
     def token_parameters(self) -> Iterable[nn.Parameter]:
-        """The parameters that a loss of the tokens teaches; the others learn from `auxiliary` alone."""
+        """The parameters that receive gradients through the tokens; the others learn from `auxiliary` alone."""
         return self.parameters()
 
-    def perceive(self, inputs: Observed, generator: torch.Generator | None = None) -> Tokens:
-        """What `auxiliary` needs of `forward`, and no more; its tokens may be empty."""
+    def perceive(self, inputs: Inputs, generator: torch.Generator | None = None) -> Tokens:
+        """The part of `forward` that `auxiliary` needs; its tokens may be empty."""
         keep = torch.ones(len(inputs.state), dtype=torch.bool, device=inputs.state.device)
         tokens: Tokens = self(inputs, keep, generator)
         return tokens
 
     def auxiliary(self, tokens: Tokens, inputs: Inputs) -> dict[str, Tensor]:
-        """Weighted losses of what is learned on the side, by name; used in training only."""
+        """Weighted auxiliary losses by name; used in training only."""
         return {}

@@ -1,4 +1,4 @@
-"""What encoders that look through cameras share: which cameras, how a goal is shown, pixels, random shifts."""
+"""What image encoders share: cameras, goal modality, pixels, random shifts."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -6,20 +6,21 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
+from playlearn.batch import Inputs
 from playlearn.errors import UsageError
 from playlearn.policies.encoders.base import EncoderConfig, Modality
-from playlearn.policies.inputs import Observed
 
 
 @dataclass(frozen=True)
 class CamerasConfig(EncoderConfig):
-    """The fields that every encoder has which looks through cameras.
+    """The fields of every image encoder.
 
-    cameras: what the policy sees. goal: what it is shown of a goal: an image, the state (`achieved`), or, with
-    `both`, now one and now the other, so that it can be asked either way. image_goal_prob: of the training examples
-    that are shown an image where the goal is `both`. goal_camera: the camera in which goal images are shown.
-    hidden: units of the small networks behind the images. shift: random shift of the images in training, in
-    pixels, the same for observation and goal.
+    cameras: whose images an observation holds.
+    goal: how a goal is given: an image, the state (`achieved`), or `both`: either, drawn for each training example.
+    image_goal_prob: probability that a training example has a goal image, where the goal is `both`.
+    goal_camera: the camera of goal images.
+    hidden: units of the small networks behind the images.
+    shift: random shift of the images in training, in pixels, the same for observation and goal.
     """
 
     cameras: tuple[str, ...] = ("front", "wrist")
@@ -46,25 +47,25 @@ class CamerasConfig(EncoderConfig):
         if self.goal_camera not in self.cameras:
             raise UsageError(f"encoder.goal_camera {self.goal_camera!r} is not among encoder.cameras {self.cameras}")
         if not 0 <= self.image_goal_prob <= 1:
-            raise UsageError(f"encoder.image_goal_prob is a share of the examples, 0 to 1: got {self.image_goal_prob}")
+            raise UsageError(f"encoder.image_goal_prob is a probability, 0 to 1: got {self.image_goal_prob}")
 
-    def pictured(self, inputs: Observed, generator: torch.Generator | None) -> Tensor:
-        """(B,) bool, True for the examples whose goal is an image; in training drawn, else by what there is."""
+    def has_goal_image(self, inputs: Inputs, generator: torch.Generator | None) -> Tensor:
+        """(B,) bool, True for the examples whose goal is an image; drawn in training, else by what the inputs hold."""
         batch, device = len(inputs.state), inputs.state.device
-        shown = self.goal != "state" and self.goal_camera in inputs.goal_images
-        if not shown or self.goal != "both" or generator is None:
-            return torch.full((batch,), shown, device=device)
+        given = self.goal != "state" and self.goal_camera in inputs.goal_images
+        if not given or self.goal != "both" or generator is None:
+            return torch.full((batch,), given, device=device)
         draws = torch.rand(batch, generator=generator, device=generator.device)
         return (draws < self.image_goal_prob).to(device)
 
 
 def pixels(frames: Tensor) -> Tensor:
-    """(B, h, w, C) uint8 -> (B, C, h, w) float32 in [-1, 1], laid out channels last, which CPUs convolve fastest."""
+    """(B, h, w, C) uint8 -> (B, C, h, w) float32 in [-1, 1], channels last in memory, which CPUs convolve fastest."""
     return frames.float().mul_(2 / 255).sub_(1).permute(0, 3, 1, 2)
 
 
 def channels_last[M: nn.Module](network: M) -> M:
-    """The same network with its convolutions laid out as `pixels` lays out images."""
+    """The same network with its convolutions in the memory format of `pixels`."""
     return network.to(memory_format=torch.channels_last)  # type: ignore[no-any-return, call-overload]
 
 
@@ -80,8 +81,8 @@ def random_shift(frames: Tensor, limit: int, generator: torch.Generator | None) 
     offsets = offsets.to(frames.device)
     rows = (torch.arange(height, device=frames.device) + offsets[0]).clamp_(0, height - 1)  # (B, h)
     columns = (torch.arange(width, device=frames.device) + offsets[1]).clamp_(0, width - 1)  # (B, w)
-    places = (rows[:, :, None] * width + columns[:, None, :]).flatten(1)  # (B, h w)
+    pixel_index = (rows[:, :, None] * width + columns[:, None, :]).flatten(1)  # (B, h w)
     frame = torch.arange(batch * steps, device=frames.device).view(batch, steps, 1) * (height * width)
-    # pixels picked by one flat index: three times as quick on a CPU as indexing rows and columns
-    moved = frames.reshape(-1, channels).index_select(0, (frame + places[:, None]).flatten())
+    # pixels picked by one flat index: three times as fast on a CPU as indexing rows and columns
+    moved = frames.reshape(-1, channels).index_select(0, (frame + pixel_index[:, None]).flatten())
     return moved.view(frames.shape)

@@ -1,4 +1,4 @@
-"""A small convolutional network, made to train on a CPU within minutes."""
+"""A small convolutional network that trains on a CPU within minutes."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -15,11 +15,16 @@ from playlearn.policies.encoders.image import ImageConfig
 @EncoderConfig.register_subclass("cnn")
 @dataclass(frozen=True)
 class CNNConfig(ImageConfig):
-    """channels, kernels, strides: one of each a layer. pool: how the last map becomes a vector.
+    """A few convolutions, then a pool.
 
-    The default reads large patches, keeps a fine map and tells where in it each channel sees what it
-    looks for. For the same seconds on a CPU it places objects far better than a flattened map does, and
-    it does not learn places by heart: a block is found where no block ever was.
+    channels: of each layer.
+    kernels: of each layer.
+    strides: of each layer.
+    pool: how the last map becomes a vector.
+
+    The default reads large patches, keeps a fine map and pools where in it each channel is active. For the same seconds
+    on a CPU it localizes objects far better than a flattened map does, and generalizes to positions without training
+    data.
     """
 
     channels: tuple[int, ...] = (32, 32)
@@ -30,7 +35,7 @@ class CNNConfig(ImageConfig):
     def backbone(self, channels: int, size: tuple[int, int], *, fetch: bool) -> nn.Module:
         layers = list(_layers(self, channels))
         if self.pool == "spatial_softmax":
-            layers.pop()  # a softmax looks for the most, not for what is above 0
+            layers.pop()  # a softmax needs no ReLU before it
         convolutions = channels_last(nn.Sequential(*layers))
         with torch.no_grad():
             _, depth, height, width = convolutions(torch.zeros(1, channels, *size)).shape
@@ -43,11 +48,11 @@ class CNNConfig(ImageConfig):
 
 
 class SpatialSoftmax(nn.Module):
-    """(B, C, h, w) -> (B, 4 C): where each channel looks, x and y in [-1, 1], what it sees there, and its mean.
+    """(B, C, h, w) -> (B, 4 C): the expected x and y of each channel in [-1, 1], its value there, and its mean.
 
-    As Finn et al. (2016), but a map is brought to zero mean and unit spread before its softmax, with a
-    sharpness of its own that starts at `SHARPNESS`: from the first update on every channel points
-    somewhere, where a plain softmax over small values points at the middle and hardly learns.
+    As Finn et al. (2016), but each map is normalized to zero mean and unit std before its softmax, with a learned
+    sharpness that starts at `SHARPNESS`: from the first update on every channel has a peak, while a plain softmax over
+    small values expects the center and hardly learns.
     """
 
     SHARPNESS = 4.0
@@ -55,14 +60,14 @@ class SpatialSoftmax(nn.Module):
     def __init__(self, channels: int, height: int, width: int) -> None:
         super().__init__()
         y, x = torch.meshgrid(torch.linspace(-1, 1, height), torch.linspace(-1, 1, width), indexing="ij")
-        self.register_buffer("places", torch.stack([x.flatten(), y.flatten()], dim=1), persistent=False)  # (h w, 2)
+        self.register_buffer("positions", torch.stack([x.flatten(), y.flatten()], dim=1), persistent=False)  # (h w, 2)
         self.sharpness = nn.Parameter(torch.full((channels, 1), self.SHARPNESS))
 
     def forward(self, maps: Tensor) -> Tensor:
         flat = maps.flatten(2)  # (B, C, h w)
-        mean, spread = flat.mean(-1, keepdim=True), flat.std(-1, keepdim=True)
-        weights = ((flat - mean) / (spread + 1e-4) * self.sharpness).softmax(dim=-1)
-        expected = weights @ self.get_buffer("places")  # (B, C, 2)
+        mean, std = flat.mean(-1, keepdim=True), flat.std(-1, keepdim=True)
+        weights = ((flat - mean) / (std + 1e-4) * self.sharpness).softmax(dim=-1)
+        expected = weights @ self.get_buffer("positions")  # (B, C, 2)
         return torch.cat([expected.flatten(1), (weights * flat).sum(-1), mean.squeeze(-1)], dim=1)
 
 

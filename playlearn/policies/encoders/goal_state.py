@@ -1,20 +1,20 @@
-"""A goal that is a state, as one vector: for encoders that look at the world through cameras."""
+"""A goal state as one vector, for image encoders."""
 
 import torch
 from torch import Tensor, nn
 
 from playlearn.policies.encoders.objects import mlp
-from playlearn.policies.inputs import PolicySpec
+from playlearn.policies.spec import PolicySpec
 
 
 class GoalStateEncoder(nn.Module):
-    """(B, G) normalized achieved of a goal -> (B, D), of the parts alone that goals speak of."""
+    """(B, G) normalized achieved of a goal -> (B, D), of the dimensions that goals cover."""
 
     def __init__(self, spec: PolicySpec, goal_names: tuple[str, ...], hidden: int, width: int) -> None:
         super().__init__()
-        self.register_buffer("spoken", torch.tensor(spec.select(goal_names)), persistent=False)
-        self.net = mlp(len(self.get_buffer("spoken")), hidden, width)
+        self.register_buffer("dimensions", torch.tensor(spec.goal_dimensions(goal_names)), persistent=False)
+        self.net = mlp(len(self.get_buffer("dimensions")), hidden, width)
 
     def forward(self, goal: Tensor) -> Tensor:
-        out: Tensor = self.net(goal[:, self.get_buffer("spoken")])
+        out: Tensor = self.net(goal[:, self.get_buffer("dimensions")])
         return out

@@ -1,4 +1,4 @@
-"""What encoders of one vector a camera share: fusion of observation and goal, privileged supervision."""
+"""What image encoders with one vector a camera share: fusion of observation and goal, state supervision."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -7,12 +7,13 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor, nn
 
+from playlearn.batch import Inputs
 from playlearn.errors import UsageError
 from playlearn.policies.encoders.base import Encoder, Tokens
 from playlearn.policies.encoders.cameras import CamerasConfig, pixels, random_shift
 from playlearn.policies.encoders.goal_state import GoalStateEncoder
 from playlearn.policies.encoders.objects import ObjectTokens, mlp
-from playlearn.policies.inputs import Inputs, Observed, PolicySpec
+from playlearn.policies.spec import PolicySpec
 
 
 @dataclass(frozen=True)
@@ -21,12 +22,12 @@ class ImageConfig(CamerasConfig):
 
     fusion: `early` stacks observation and goal along the channels; `late` runs one network over each.
     features: width of a camera's feature vector.
-    state_supervision: weight of a loss by which images must also tell `achieved`, in training only (privileged).
-    use_estimated_state: hand the estimated achieved of observation and goal and
-    their difference to the policy, as the state encoder does with the true ones; a goal that is a state needs no
-    estimate. feed_cameras: the cameras whose features the policy sees beside them (null: all).
-    detach_estimate: the policy's own loss does not shape the estimates. linear_estimate: they are a linear map of the
-    features beside the small network's.
+    state_supervision: weight of a loss that predicts `achieved` from images, in training only (privileged).
+    use_estimated_state: whether the policy reads the estimated achieved of observation and goal and their difference,
+        as the state encoder reads the true ones; a goal state needs no estimate.
+    feed_cameras: the cameras whose features the policy reads beside them (null: all).
+    detach_estimate: whether the estimates get no gradient from the policy's own loss.
+    linear_estimate: whether a linear map of the features is added to the small network of the estimates.
     """
 
     fusion: Literal["early", "late"] = "early"
@@ -55,20 +56,20 @@ class ImageConfig(CamerasConfig):
         unknown = set(self.feed_cameras or ()) - set(self.cameras)
         if unknown:
             raise UsageError(f"encoder.feed_cameras: {min(unknown)!r} is not among encoder.cameras {self.cameras}")
-        pictured = self.feed_cameras is None or self.goal_camera in self.feed_cameras
-        if not pictured and not self.use_estimated_state and self.goal != "state":
+        goal_fed = self.feed_cameras is None or self.goal_camera in self.feed_cameras
+        if not goal_fed and not self.use_estimated_state and self.goal != "state":
             raise UsageError(
-                "encoder.feed_cameras without the goal's camera needs encoder.use_estimated_state: no goal is seen"
+                "encoder.feed_cameras without the goal's camera needs encoder.use_estimated_state: no goal is given"
             )
 
 
 class ImageEncoder(Encoder):
     """A goal token, then for each step one token a camera and one for the robot's own state.
 
-    The goal token says whether there is a goal, and what it is where it is a state or fused late.
+    The goal token encodes whether there is a goal, and the goal itself where it is a state or fused late.
 
-    With `use_estimated_state` there is also a token an object, made from the estimated achieved of observation
-    and goal. The true `achieved` is never read outside `auxiliary`.
+    With `use_estimated_state` there is also a token an object, from the estimated achieved of observation and goal. The
+    true `achieved` is read in `auxiliary` alone.
     """
 
     def __init__(self, config: ImageConfig, spec: PolicySpec, width: int, *, fetch: bool) -> None:
@@ -86,7 +87,7 @@ class ImageEncoder(Encoder):
         self.project = nn.ModuleDict({camera: nn.Linear(features, width) for camera in fed})
         goal_fed = config.goal_camera in fed and not self.fused and "image" in config.goals
         self.project_goal = nn.Linear(features, width) if goal_fed else None
-        # without a goal, with one, and where there are two sorts with one that is a state
+        # without a goal, with one, and where a goal may be either, with a goal state
         self.goal_flag = nn.Parameter(torch.randn(1 + len(config.goals), width) * 0.02)
         self.goal_tokens, self.step_tokens = 1, len(fed) + 1
 
@@ -102,27 +103,27 @@ class ImageEncoder(Encoder):
             if "state" in config.goals:
                 self.told = GoalStateEncoder(spec, config.goal_names, config.hidden, width)
 
-    def forward(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
+    def forward(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
         config = self.config
-        pictured = config.pictured(inputs, generator)  # (B,)
-        seen = self._see(inputs, keep & pictured, generator)
-        step_tokens = [project(seen.cameras[camera]).unsqueeze(2) for camera, project in self.project.items()]
+        has_image = config.has_goal_image(inputs, generator)  # (B,)
+        encoded = self._encode(inputs, keep & has_image, generator)
+        step_tokens = [project(encoded.cameras[camera]).unsqueeze(2) for camera, project in self.project.items()]
 
-        sort = keep.long() if len(config.goals) == 1 else keep * (2 - pictured.long())
-        goal_token = self.goal_flag[sort]  # (B, D)
-        if self.project_goal is not None and seen.goal is not None:
-            goal_token = goal_token + torch.where((keep & pictured)[:, None], self.project_goal(seen.goal), 0.0)
+        flag = keep.long() if len(config.goals) == 1 else keep * (2 - has_image.long())
+        goal_token = self.goal_flag[flag]  # (B, D)
+        if self.project_goal is not None and encoded.goal is not None:
+            goal_token = goal_token + torch.where((keep & has_image)[:, None], self.project_goal(encoded.goal), 0.0)
         if self.told is not None:
-            goal_token = goal_token + torch.where((keep & ~pictured)[:, None], self.told(inputs.goal_achieved), 0.0)
+            goal_token = goal_token + torch.where((keep & ~has_image)[:, None], self.told(inputs.goal_achieved), 0.0)
 
-        observed, goal = self._estimated(inputs, seen, pictured)
+        observed, goal = self._estimated(inputs, encoded, has_image)
         if self.objects is not None and observed is not None and goal is not None:
             now, then = (observed.detach(), goal.detach()) if config.detach_estimate else (observed, goal)
             step_tokens.append(self.objects(inputs.state, now, then, keep))
         elif self.proprio is not None:
             step_tokens.append(self.proprio(inputs.state).unsqueeze(2))
         return Tokens(
-            goal_token.unsqueeze(1), torch.cat(step_tokens, 2), observed, goal, seen.heatmaps, seen.goal_heatmaps
+            goal_token.unsqueeze(1), torch.cat(step_tokens, 2), observed, goal, encoded.heatmaps, encoded.goal_heatmaps
         )
 
     def token_parameters(self) -> Iterable[nn.Parameter]:
@@ -131,80 +132,85 @@ class ImageEncoder(Encoder):
         reads_images = ("front.", "others.", "estimate.")
         return [parameter for name, parameter in self.named_parameters() if not name.startswith(reads_images)]
 
-    def perceive(self, inputs: Observed, generator: torch.Generator | None = None) -> Tokens:
-        pictured = self.config.pictured(inputs, generator)
-        seen = self._see(inputs, pictured, generator)
-        observed, goal = self._estimated(inputs, seen, pictured)
-        none = inputs.state.new_empty(len(pictured), 0, 0)
-        return Tokens(none, none.unsqueeze(1), observed, goal, seen.heatmaps, seen.goal_heatmaps)
+    def perceive(self, inputs: Inputs, generator: torch.Generator | None = None) -> Tokens:
+        has_image = self.config.has_goal_image(inputs, generator)
+        encoded = self._encode(inputs, has_image, generator)
+        observed, goal = self._estimated(inputs, encoded, has_image)
+        none = inputs.state.new_empty(len(has_image), 0, 0)
+        return Tokens(none, none.unsqueeze(1), observed, goal, encoded.heatmaps, encoded.goal_heatmaps)
 
-    def look(self, backbone: nn.Module, images: Tensor) -> tuple[Tensor, Tensor | None]:
+    def run_backbone(self, backbone: nn.Module, images: Tensor) -> tuple[Tensor, Tensor | None]:
         """(B, C, h, w) to features (B, F), and heatmaps (B, K, h', w') of those that make them."""
         return backbone(images), None
 
     def auxiliary(self, tokens: Tokens, inputs: Inputs) -> dict[str, Tensor]:
         if tokens.observed is None or tokens.wanted is None:
             return {}
-        # a small beta: nearly an absolute error, so that the last centimeter still counts
+        # a small beta: nearly an absolute error, so that errors below a centimeter still count
         loss = nn.functional.smooth_l1_loss(tokens.observed, inputs.achieved, beta=0.1)
         loss = loss + nn.functional.smooth_l1_loss(tokens.wanted, inputs.goal_achieved, beta=0.1)
         return {"achieved": self.config.state_supervision * loss}
 
-    def _estimated(self, inputs: Observed, seen: "_Seen", pictured: Tensor) -> tuple[Tensor | None, Tensor | None]:
-        """(B, T, G) and (B, G), normalized: where things are, and where they are in the goal; None where not taught."""
+    def _estimated(
+        self, inputs: Inputs, encoded: "_Features", has_image: Tensor
+    ) -> tuple[Tensor | None, Tensor | None]:
+        """(B, T, G) and (B, G), normalized estimates of observation and goal; None where there are none."""
         if self.estimate is None:
             return None, None
-        observed = self.estimate(seen.cameras, inputs.state)
+        observed = self.estimate(encoded.cameras, inputs.state)
         goal = inputs.goal_achieved
-        if seen.goal is not None:
-            goal = torch.where(pictured[:, None], self.estimate.wanted(seen.goal), goal)
+        if encoded.goal is not None:
+            goal = torch.where(has_image[:, None], self.estimate.wanted(encoded.goal), goal)
         return observed, goal
 
-    def _see(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None) -> "_Seen":
-        """keep: (B,) bool, whose goal image may be seen. Fused early, the last step's features tell both."""
+    def _encode(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None) -> "_Features":
+        """The features of all images; fused early, the last step's are also the goal's.
+
+        keep: (B,) bool, False where the goal image is dropped.
+        """
         config, (batch, steps) = self.config, inputs.state.shape[:2]
         heatmaps: dict[str, Tensor] = {}
         goal_heatmaps: dict[str, Tensor] = {}
-        frames = self._front_frames(inputs, keep, generator)  # (B, T or T + 1, C, h, w)
-        seen, maps = self.look(self.front, frames.flatten(0, 1))
-        seen = seen.unflatten(0, (batch, -1))  # (B, T or T + 1, F)
-        goal = seen[:, -1] if self.fused or config.goal_camera in inputs.goal_images else None
-        cameras = {config.goal_camera: seen[:, :steps]}
+        stacked = self._goal_camera_frames(inputs, keep, generator)  # (B, T or T + 1, C, h, w)
+        encoded, maps = self.run_backbone(self.front, stacked.flatten(0, 1))
+        encoded = encoded.unflatten(0, (batch, -1))  # (B, T or T + 1, F)
+        goal = encoded[:, -1] if self.fused or config.goal_camera in inputs.goal_images else None
+        cameras = {config.goal_camera: encoded[:, :steps]}
         if maps is not None:
             maps = maps.unflatten(0, (batch, -1))
             heatmaps[config.goal_camera] = maps[:, :steps]
             if goal is not None and not self.fused:
                 goal_heatmaps[config.goal_camera] = maps[:, -1]
         for camera, backbone in self.others.items():
-            shown = random_shift(inputs.images[camera], config.shift, generator)
-            found, maps = self.look(backbone, pixels(shown.flatten(0, 1)))
+            frames = random_shift(inputs.images[camera], config.shift, generator)
+            found, maps = self.run_backbone(backbone, pixels(frames.flatten(0, 1)))
             cameras[camera] = found.unflatten(0, (batch, steps))
             if maps is not None:
                 heatmaps[camera] = maps.unflatten(0, (batch, steps))
-        return _Seen(cameras, goal, heatmaps, goal_heatmaps)
+        return _Features(cameras, goal, heatmaps, goal_heatmaps)
 
-    def _front_frames(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None) -> Tensor:
-        """(B, T, C, h, w) what the network of the goal's camera looks at: fused with the goal, or that is one more.
+    def _goal_camera_frames(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None) -> Tensor:
+        """(B, T, C, h, w) inputs of the backbone of the goal's camera: fused with the goal, or that is one more step.
 
-        A goal that is the observation itself, as a drawn scene's is, is looked at once.
+        A goal that is the observation itself, as a drawn scene's is, is encoded once.
         """
         config, (batch, steps) = self.config, inputs.state.shape[:2]
-        shown = inputs.images[config.goal_camera]  # (B, T, h, w, 3)
+        frames = inputs.images[config.goal_camera]  # (B, T, h, w, 3)
         if not self.fused and (
             config.goal_camera not in inputs.goal_images or _is_own_goal(inputs, config.goal_camera)
         ):
-            shown = random_shift(shown, config.shift, generator)
-            return self._rows(pixels(shown.flatten(0, 1)), batch)
-        wanted = inputs.goal_images.get(config.goal_camera, torch.zeros_like(shown[:, 0]))  # (B, h, w, 3)
-        both = torch.cat([shown, wanted.unsqueeze(1)], dim=1)
+            frames = random_shift(frames, config.shift, generator)
+            return self._rows(pixels(frames.flatten(0, 1)), batch)
+        wanted = inputs.goal_images.get(config.goal_camera, torch.zeros_like(frames[:, 0]))  # (B, h, w, 3)
+        both = torch.cat([frames, wanted.unsqueeze(1)], dim=1)
         both = random_shift(both, config.shift, generator)
         if not self.fused:
             return self._rows(pixels(both.flatten(0, 1)), batch)
-        shown, wanted = both.split([steps, 1], 1)
-        stacked = torch.cat([shown, wanted.expand(-1, steps, -1, -1, -1)], dim=-1)  # (B, T, h, w, 6)
+        frames, wanted = both.split([steps, 1], 1)
+        stacked = torch.cat([frames, wanted.expand(-1, steps, -1, -1, -1)], dim=-1)  # (B, T, h, w, 6)
         scaled = pixels(stacked.flatten(0, 1))  # (B T, 6, h, w)
-        withheld = ~keep.repeat_interleave(steps)
-        scaled[:, 3:].masked_fill_(withheld[:, None, None, None], 0.0)  # mid-gray
+        dropped = ~keep.repeat_interleave(steps)
+        scaled[:, 3:].masked_fill_(dropped[:, None, None, None], 0.0)  # mid-gray
         return self._rows(scaled, batch)
 
     @staticmethod
@@ -213,14 +219,20 @@ class ImageEncoder(Encoder):
         return frames.view(batch, -1, *frames.shape[1:])
 
 
-def _is_own_goal(inputs: Observed, camera: str) -> bool:
+def _is_own_goal(inputs: Inputs, camera: str) -> bool:
     """Whether the goal image is the observation itself, in the same memory."""
-    shown, wanted = inputs.images[camera], inputs.goal_images[camera]
-    return shown.shape[1] == 1 and shown.data_ptr() == wanted.data_ptr()
+    frames, wanted = inputs.images[camera], inputs.goal_images[camera]
+    return frames.shape[1] == 1 and frames.data_ptr() == wanted.data_ptr()
 
 
-class _Seen(NamedTuple):
-    """Features: camera -> (B, T, F) of the observation, (B, F) of the goal image, if there is one; see `Tokens`."""
+class _Features(NamedTuple):
+    """What the backbones return.
+
+    cameras: camera -> (B, T, F) features of the observation.
+    goal: (B, F) features of the goal image, if there is one.
+    heatmaps: see `Tokens`.
+    goal_heatmaps: see `Tokens`.
+    """
 
     cameras: dict[str, Tensor]
     goal: Tensor | None
@@ -229,14 +241,14 @@ class _Seen(NamedTuple):
 
 
 class _Estimate(nn.Module):
-    """Normalized achieved of the observation from all cameras and the state, of the goal (wanted) from its image."""
+    """Estimates of the normalized achieved: from all cameras and the robot's state; of the goal, from its image."""
 
     def __init__(self, config: ImageConfig, achieved: int, state: int) -> None:
         super().__init__()
-        seen, net = config.features * len(config.cameras) + state, _Read if config.linear_estimate else mlp
-        self.observed = net(seen, config.hidden, achieved)
+        inputs, net = config.features * len(config.cameras) + state, _LinearAndMLP if config.linear_estimate else mlp
+        self.observed = net(inputs, config.hidden, achieved)
         self.wanted = net(config.features, config.hidden, achieved)
-        # fused late, one network looks at both images, so one head may learn from both
+        # fused late, one backbone encodes both images, so one head may learn from both
         self.shared = config.fusion == "late" or config.goal == "state"
         self.camera = config.goal_camera
 
@@ -245,8 +257,8 @@ class _Estimate(nn.Module):
         return observed + self.wanted(features[self.camera]) if self.shared else observed
 
 
-class _Read(nn.Module):
-    """A linear map, and a small network for what is not linear."""
+class _LinearAndMLP(nn.Module):
+    """A linear map and a small network, summed."""
 
     def __init__(self, inputs: int, hidden: int, out: int) -> None:
         super().__init__()

@@ -1,13 +1,12 @@
-"""An image encoder that is shown where in a picture each object is, while it learns to tell where things are.
+"""An image encoder with heatmaps that are supervised by each object's position in the image (keypoints).
 
-A heatmap an object is taught the pixel at which a camera sees that object's center, which a simulator that draws
-scenes knows (privileged information); further heatmaps find for themselves what else matters. Under each map the
-features, the place that it points at and how sure it is are pooled, and the pose is read off these. A spatial softmax
-(Finn et al. 2016) has to find the objects by the pose's error alone: it takes ten times the updates.
+One heatmap for each object is trained to peak at the pixel of that object's center, which a simulator that renders the
+scene gives (privileged information); further heatmaps learn from the other losses alone. Each map pools the features
+under it, its expected position and how peaked it is; the poses are estimated from these. A spatial softmax (Finn et al.
+2016) has to localize the objects from the pose error alone: it takes ten times the updates.
 
-The heatmaps are coarse, as convolutions over a whole image must be on a CPU. So a second look follows at the place that
-each map points at: a glimpse (Mnih et al. 2014), a small square of the image's own pixels around it, in which how an
-object lies and what hides it can be seen.
+The heatmaps are coarse, as convolutions over a whole image must be on a CPU. So each is followed by a glimpse (Mnih et
+al. 2014): a small square of the image's own pixels around its expected position, which shows orientation and occlusion.
 """
 
 from collections.abc import Mapping
@@ -16,21 +15,28 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from playlearn.batch import Inputs
 from playlearn.errors import UsageError
+from playlearn.layout import ObjectLayout
 from playlearn.policies.encoders.base import EncoderConfig, Tokens
 from playlearn.policies.encoders.cameras import channels_last
 from playlearn.policies.encoders.image import ImageConfig, ImageEncoder
-from playlearn.policies.inputs import Inputs, PolicySpec, placed_objects
+from playlearn.policies.spec import PolicySpec
 
 
 @EncoderConfig.register_subclass("keypoints")
 @dataclass(frozen=True)
 class KeypointsConfig(ImageConfig):
-    """channels, kernels, strides: of the convolutions, one of each a layer.
-    heatmaps: of a camera, the objects' among them.
-    keypoints: weight of the heatmaps' loss, where the examples bring keypoints; 0: the maps find everything themselves.
-    glimpse: side of the square that is looked at again around each heatmap's place, in pixels; 0: there is none.
-    glimpse_features: what each of them is summed up in.
+    """A small CNN with heatmaps and glimpses.
+
+    channels: of each convolution.
+    kernels: of each convolution.
+    strides: of each convolution.
+    heatmaps: of each camera, those of the objects included.
+    keypoints: weight of the heatmaps' loss, where the examples have keypoints; 0: no supervision of the maps.
+    glimpse: side in pixels of the square around each heatmap's expected position; 0: no glimpses.
+    glimpse_features: width of what each glimpse is encoded to.
+    linear_estimate: see ImageConfig.
     """
 
     channels: tuple[int, ...] = (32, 32)
@@ -46,7 +52,7 @@ class KeypointsConfig(ImageConfig):
         return KeypointBackbone(self, channels, size)
 
     def build(self, spec: PolicySpec, width: int, *, fetch: bool = True) -> "KeypointsEncoder":
-        objects = len(placed_objects(spec.achieved_names))
+        objects = len(ObjectLayout(spec.achieved_names).places())
         if self.heatmaps < max(1, objects):
             raise UsageError(f"encoder.heatmaps is {self.heatmaps}: give one each of the {objects} objects, or more")
         if self.keypoints > 0 and self.shift > 0:
@@ -66,7 +72,7 @@ class KeypointsEncoder(ImageEncoder):
 
     config: KeypointsConfig
 
-    def look(self, backbone: nn.Module, images: Tensor) -> tuple[Tensor, Tensor | None]:
+    def run_backbone(self, backbone: nn.Module, images: Tensor) -> tuple[Tensor, Tensor | None]:
         features, heatmaps = backbone(images)
         return features, heatmaps
 
@@ -80,7 +86,7 @@ class KeypointsEncoder(ImageEncoder):
         return losses
 
 
-SPREAD = 4.0  # places in an image are told as numbers of about the size of the features
+POSITION_SCALE = 4.0  # positions in an image are scaled to about the size of the features
 
 
 class KeypointBackbone(nn.Module):
@@ -108,25 +114,25 @@ class KeypointBackbone(nn.Module):
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
         maps = self.convolutions(images)
-        # at zero mean and unit spread every map points somewhere from the first update on, as in `SpatialSoftmax`
+        # with zero mean and unit std every map has a peak from the first update on, as in `SpatialSoftmax`
         logits = self.attend(maps).flatten(2)  # (B, K, h w)
-        spread, mean = torch.std_mean(logits, dim=-1, keepdim=True)
-        logits = (logits - mean) * (self.sharpness / (spread + 1e-3))
-        total = logits.logsumexp(dim=-1, keepdim=True)  # how much one place stands out
+        std, mean = torch.std_mean(logits, dim=-1, keepdim=True)
+        logits = (logits - mean) * (self.sharpness / (std + 1e-3))
+        total = logits.logsumexp(dim=-1, keepdim=True)  # how peaked the map is
         weights = (logits - total).exp()
-        seen = weights @ maps.flatten(2).transpose(1, 2)  # (B, K, C)
-        places = weights @ self.get_buffer("cells")  # (B, K, 2)
-        found = [seen, SPREAD * places, total]
+        pooled = weights @ maps.flatten(2).transpose(1, 2)  # (B, K, C)
+        positions = weights @ self.get_buffer("cells")  # (B, K, 2)
+        found = [pooled, POSITION_SCALE * positions, total]
         if self.glimpses is not None:
-            found.append(self.glimpses(images, places.detach()))
+            found.append(self.glimpses(images, positions.detach()))
         return self.project(torch.cat(found, dim=-1).flatten(1)), logits.unflatten(-1, maps.shape[2:])
 
 
 class Glimpses(nn.Module):
-    """Images (B, C, h, w) and K places in each (B, K, 2), in [-1, 1], -> (B, K, features): a look around each place.
+    """Images (B, C, h, w) and K positions in each (B, K, 2), in [-1, 1], -> (B, K, features) of a square around each.
 
-    The square is cut out at whole pixels and lies within the image; where its center is belongs to what is told. The
-    convolution is shared, what is read off it is each place's own.
+    The square is cropped at whole pixels and lies within the image; its center is one of the features. The convolution
+    is shared, the layer behind it is each position's own.
     """
 
     CHANNELS, KERNEL, STRIDE = 32, 5, 2
@@ -135,25 +141,25 @@ class Glimpses(nn.Module):
         super().__init__()
         self.side, self.features = config.glimpse, config.glimpse_features + 2
         self.convolution = channels_last(nn.Conv2d(channels, self.CHANNELS, self.KERNEL, self.STRIDE))
-        seen = self.CHANNELS * ((self.side - self.KERNEL) // self.STRIDE + 1) ** 2
-        weight = torch.randn(config.heatmaps, seen, config.glimpse_features) * (2 / seen) ** 0.5  # He et al. 2015
+        inputs = self.CHANNELS * ((self.side - self.KERNEL) // self.STRIDE + 1) ** 2
+        weight = torch.randn(config.heatmaps, inputs, config.glimpse_features) * (2 / inputs) ** 0.5  # He et al. 2015
         self.weight = nn.Parameter(weight)
         self.bias = nn.Parameter(torch.zeros(config.heatmaps, 1, config.glimpse_features))
         height, width = size
         self.register_buffer("size", torch.tensor([width, height]), persistent=False)
 
-    def forward(self, images: Tensor, places: Tensor) -> Tensor:
-        corners = self.corners(places)
-        looks = self.convolution(self.cut(images, corners).flatten(0, 1)).relu()
-        looks = looks.flatten(1).unflatten(0, corners.shape[:2]).transpose(0, 1)  # (K, B, seen)
-        read = torch.baddbmm(self.bias, looks, self.weight).relu().transpose(0, 1)  # (B, K, glimpse_features)
+    def forward(self, images: Tensor, positions: Tensor) -> Tensor:
+        corners = self.corners(positions)
+        maps = self.convolution(self.cut(images, corners).flatten(0, 1)).relu()
+        maps = maps.flatten(1).unflatten(0, corners.shape[:2]).transpose(0, 1)  # (K, B, inputs)
+        read = torch.baddbmm(self.bias, maps, self.weight).relu().transpose(0, 1)  # (B, K, glimpse_features)
         centers = 2 * (corners + self.side / 2) / self.get_buffer("size") - 1
-        return torch.cat([read, SPREAD * centers], dim=-1)
+        return torch.cat([read, POSITION_SCALE * centers], dim=-1)
 
-    def corners(self, places: Tensor) -> Tensor:
+    def corners(self, positions: Tensor) -> Tensor:
         """(B, K, 2) int64: the first column and row of each square."""
         size = self.get_buffer("size")
-        first = ((places + 1) / 2 * size - self.side / 2).round().long()
+        first = ((positions + 1) / 2 * size - self.side / 2).round().long()
         return first.clamp(min=torch.zeros_like(size), max=size - self.side)
 
     def cut(self, images: Tensor, corners: Tensor) -> Tensor:
@@ -162,10 +168,10 @@ class Glimpses(nn.Module):
         along = torch.arange(self.side, device=images.device)
         rows, columns = corners[..., 1, None] + along, corners[..., 0, None] + along  # (B, K, side)
         first = torch.arange(batch, device=images.device).view(-1, 1, 1, 1) * (height * width)
-        places = first + rows[..., :, None] * width + columns[..., None, :]  # (B, K, side, side)
+        positions = first + rows[..., :, None] * width + columns[..., None, :]  # (B, K, side, side)
         pixels = images.permute(0, 2, 3, 1).reshape(-1, channels)
         # pixels picked by one flat index, as in `random_shift`
-        return pixels.index_select(0, places.flatten()).view(*places.shape, channels).movedim(-1, 2)
+        return pixels.index_select(0, positions.flatten()).view(*positions.shape, channels).movedim(-1, 2)
 
 
 def cell_centers(count: int) -> Tensor:
@@ -176,8 +182,8 @@ def cell_centers(count: int) -> Tensor:
 def heatmap_loss(logits: Tensor, points: Tensor) -> Tensor:
     """Cross entropy of (N, K, h, w) heatmaps and the first O <= K points (N, O, 2), x and y in [-1, 1]; scalar.
 
-    A point is shared out among the four cells around it, so that the mean place under its map can be exact. What
-    lies outside the image, NaN included, counts for nothing.
+    A point is divided among the four cells around it, so that the expected position of its map can be exact. Points
+    outside the image, NaN included, have no weight.
     """
     height, width = logits.shape[2:]
     logs = logits[:, : points.shape[1]].flatten(2).log_softmax(dim=-1)  # (N, O, h w)
@@ -185,16 +191,14 @@ def heatmap_loss(logits: Tensor, points: Tensor) -> Tensor:
     sizes = points.new_tensor([width, height])
     at = ((points.nan_to_num() + 1) / 2 * sizes - 0.5).clamp(min=torch.zeros(2), max=sizes - 1 - 1e-3)
     low = at.floor()
-    high_share = at - low
+    upper = at - low
     total = logs.new_zeros(inside.shape)
     for dx in (0, 1):
         for dy in (0, 1):
             corner = low + low.new_tensor([dx, dy])
-            share = (high_share[..., 0] if dx else 1 - high_share[..., 0]) * (
-                high_share[..., 1] if dy else 1 - high_share[..., 1]
-            )
+            weight = (upper[..., 0] if dx else 1 - upper[..., 0]) * (upper[..., 1] if dy else 1 - upper[..., 1])
             cell = (corner[..., 1] * width + corner[..., 0]).long()
-            total = total - share * logs.gather(2, cell.unsqueeze(-1)).squeeze(-1)
+            total = total - weight * logs.gather(2, cell.unsqueeze(-1)).squeeze(-1)
     return torch.where(inside, total, 0.0).sum() / inside.sum().clamp(min=1)
 
 

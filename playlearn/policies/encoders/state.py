@@ -1,19 +1,24 @@
-"""Tokens from numbers: the robot's state, what is achieved, and how far that is from the goal."""
+"""Tokens from the robot's state, from `achieved`, and from the difference to the goal."""
 
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
+from playlearn.batch import Inputs
 from playlearn.policies.encoders.base import Encoder, EncoderConfig, Modality, Tokens
 from playlearn.policies.encoders.objects import ObjectTokens
-from playlearn.policies.inputs import Observed, PolicySpec
+from playlearn.policies.spec import PolicySpec
 
 
 @EncoderConfig.register_subclass("state")
 @dataclass(frozen=True)
 class StateConfig(EncoderConfig):
-    """hidden: units of the two-layer networks that make a token. goal_arm: a goal also says where the arm is."""
+    """One token an object, one for the robot.
+
+    hidden: units of the two-layer networks that make a token.
+    goal_proprio: whether a goal also holds the robot's own state.
+    """
 
     hidden: int = 256
     goal_proprio: bool = False
@@ -31,7 +36,7 @@ class StateConfig(EncoderConfig):
 
 
 class StateEncoder(Encoder):
-    """One goal token, which says whether there is one; each step a token an object and one for the robot."""
+    """One goal token, for whether there is a goal; for each step one token an object and one for the robot."""
 
     goal_tokens = 1
 
@@ -41,6 +46,6 @@ class StateEncoder(Encoder):
         self.step_tokens = self.objects.count
         self.goal_flag = nn.Parameter(torch.randn(2, width) * 0.02)  # without, with a goal
 
-    def forward(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
+    def forward(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
         steps = self.objects(inputs.state, inputs.achieved, inputs.goal_achieved, keep, inputs.goal_proprio)
         return Tokens(goal=self.goal_flag[keep.long()].unsqueeze(1), steps=steps)

@@ -1,8 +1,8 @@
 """Image tokens as RT-1 makes them (Brohan et al. 2022), in a size that trains on a CPU.
 
-A camera's convolutions are modulated by the goal (FiLM, Perez et al. 2018), so that what is looked for in a picture
-is chosen before it is summed up; then a few learned maps of attention pool what is left into as many tokens
-(TokenLearner, Ryoo et al. 2021). The trunk sees the tokens of every camera instead of one vector of each.
+A camera's convolutions are modulated by the goal (FiLM, Perez et al. 2018), so that features are conditioned on the
+goal before they are pooled; then a few learned attention maps pool them into as many tokens (TokenLearner, Ryoo et al.
+2021). The trunk reads the tokens of every camera instead of one vector of each.
 """
 
 from dataclasses import dataclass
@@ -11,18 +11,24 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
+from playlearn.batch import Inputs
 from playlearn.errors import UsageError
 from playlearn.policies.encoders.base import Encoder, EncoderConfig, Tokens
 from playlearn.policies.encoders.cameras import CamerasConfig, channels_last, pixels, random_shift
 from playlearn.policies.encoders.goal_state import GoalStateEncoder
 from playlearn.policies.encoders.objects import mlp
-from playlearn.policies.inputs import Observed, PolicySpec
+from playlearn.policies.spec import PolicySpec
 
 
 @EncoderConfig.register_subclass("tokens")
 @dataclass(frozen=True)
 class TokensConfig(CamerasConfig):
-    """tokens: K, of a camera's picture (RT-1 has 8). channels, kernels, strides: of the convolutions, one each a layer.
+    """A FiLM-conditioned CNN and TokenLearner for each camera.
+
+    tokens: K, of an image (RT-1 has 8).
+    channels: of each convolution.
+    kernels: of each convolution.
+    strides: of each convolution.
 
     Raises:
         UsageError: from `build`, where there is no layer or no token, or the layers' fields differ in length.
@@ -67,48 +73,48 @@ class TokensEncoder(Encoder):
             self.told = GoalStateEncoder(spec, config.goal_names, config.hidden, config.hidden)
         self.goal_out = nn.Linear(config.hidden, width)
 
-    def forward(self, inputs: Observed, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
+    def forward(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
         config, (batch, steps) = self.config, inputs.state.shape[:2]
-        pictured = config.pictured(inputs, generator)  # (B,)
+        has_image = config.has_goal_image(inputs, generator)  # (B,)
         frames = {camera: inputs.images[camera] for camera in config.cameras}  # (B, T, h, w, 3)
         goal_frame: Tensor | None = None
         if config.goal_camera in inputs.goal_images:
-            # moved together with what the same camera sees now, or a goal would seem to lie elsewhere
+            # shifted together with the present image of the same camera, or the goal would seem to lie elsewhere
             both = torch.cat([frames[config.goal_camera], inputs.goal_images[config.goal_camera].unsqueeze(1)], dim=1)
             moved = random_shift(both, config.shift, generator)
             frames[config.goal_camera], goal_frame = moved[:, :-1], moved[:, -1]
-        goal = self._goal(inputs, goal_frame, keep, pictured)  # (B, W)
+        goal = self._goal(inputs, goal_frame, keep, has_image)  # (B, W)
         condition = goal.repeat_interleave(steps, dim=0)  # (B T, W)
         tokens = []
-        for camera, eye in self.eyes.items():
-            seen = frames[camera]
+        for camera, backbone in self.eyes.items():
+            images = frames[camera]
             if camera != config.goal_camera or goal_frame is None:
-                seen = random_shift(seen, config.shift, generator)
-            found = self.out_proj[camera](eye(pixels(seen.flatten(0, 1)), condition))  # (B T, K, D)
+                images = random_shift(images, config.shift, generator)
+            found = self.out_proj[camera](backbone(pixels(images.flatten(0, 1)), condition))  # (B T, K, D)
             tokens.append(found.unflatten(0, (batch, steps)))
         tokens.append(self.proprio(inputs.state).unsqueeze(2))
         return Tokens(self.goal_out(goal).unsqueeze(1), torch.cat(tokens, dim=2))
 
-    def _goal(self, inputs: Observed, frame: Tensor | None, keep: Tensor, pictured: Tensor) -> Tensor:
-        """(B, hidden) what the goal says, from an image or a state, or that there is none."""
-        sort = keep.long() if len(self.config.goals) == 1 else keep * (2 - pictured.long())
-        goal = self.goal_flag[sort]
+    def _goal(self, inputs: Inputs, frame: Tensor | None, keep: Tensor, has_image: Tensor) -> Tensor:
+        """(B, hidden) the goal, from an image or a state, or that there is none."""
+        flag = keep.long() if len(self.config.goals) == 1 else keep * (2 - has_image.long())
+        goal = self.goal_flag[flag]
         if self.goal_eye is not None and frame is not None:
-            goal = goal + torch.where((keep & pictured)[:, None], self.goal_eye(pixels(frame)), 0.0)
+            goal = goal + torch.where((keep & has_image)[:, None], self.goal_eye(pixels(frame)), 0.0)
         if self.told is not None:
-            goal = goal + torch.where((keep & ~pictured)[:, None], self.told(inputs.goal_achieved), 0.0)
+            goal = goal + torch.where((keep & ~has_image)[:, None], self.told(inputs.goal_achieved), 0.0)
         return goal
 
 
 class ConvBackbone(nn.Module):
-    """(B, 3, h, w) in [-1, 1] and (B, W) what to look for, or None, -> (B, K, width)."""
+    """(B, 3, h, w) in [-1, 1] and a condition (B, W), or None, -> (B, K, width)."""
 
     def __init__(self, config: TokensConfig, condition: int | None) -> None:
         super().__init__()
         sizes = pairwise((3, *config.channels))
         self.layers = nn.ModuleList(
-            channels_last(nn.Conv2d(entering, leaving, kernel, stride, (kernel - stride + 1) // 2))
-            for (entering, leaving), kernel, stride in zip(sizes, config.kernels, config.strides, strict=True)
+            channels_last(nn.Conv2d(inputs, outputs, kernel, stride, (kernel - stride + 1) // 2))
+            for (inputs, outputs), kernel, stride in zip(sizes, config.kernels, config.strides, strict=True)
         )
         self.films = nn.ModuleList(_Film(condition, channels) for channels in config.channels if condition is not None)
         self.pool = TokenPool(config.channels[-1], config.tokens)
@@ -124,7 +130,7 @@ class ConvBackbone(nn.Module):
 
 
 class _Film(nn.Module):
-    """Scale and shift of every channel, told by (B, W); at first the identity, as RT-1's."""
+    """Scale and shift of every channel from a condition (B, W); the identity at first, as in RT-1."""
 
     def __init__(self, condition: int, channels: int) -> None:
         super().__init__()
@@ -138,9 +144,9 @@ class _Film(nn.Module):
 
 
 class TokenPool(nn.Module):
-    """(B, C, h, w) -> (B, K, C + 2): the mean under each of K maps of attention, then where it looks, in [-1, 1].
+    """(B, C, h, w) -> (B, K, C + 2): the mean under each of K attention maps, then its expected position, in [-1, 1].
 
-    A map is brought to zero mean and unit spread before its softmax, as in `SpatialSoftmax` and for its reason.
+    A map is normalized to zero mean and unit std before its softmax, as in `SpatialSoftmax`.
     """
 
     SHARPNESS = 4.0
@@ -153,8 +159,8 @@ class TokenPool(nn.Module):
     def forward(self, maps: Tensor) -> Tensor:
         height, width = maps.shape[2:]
         logits = self.attend(maps).flatten(2)  # (B, K, h w)
-        spread = logits.std(-1, keepdim=True) + 1e-4
-        weights = ((logits - logits.mean(-1, keepdim=True)) / spread * self.sharpness).softmax(-1)
+        std = logits.std(-1, keepdim=True) + 1e-4
+        weights = ((logits - logits.mean(-1, keepdim=True)) / std * self.sharpness).softmax(-1)
         seen = torch.einsum("bkn,bcn->bkc", weights, maps.flatten(2))  # (B, K, C)
         at = weights.unflatten(-1, (height, width))
         x = (at.sum(-2) * torch.linspace(-1, 1, width, device=maps.device)).sum(-1, keepdim=True)

@@ -1,4 +1,4 @@
-"""Any torchvision classifier's body as a camera's network, from scratch or pretrained."""
+"""Any torchvision classifier as a camera's backbone, from scratch or pretrained."""
 
 from dataclasses import dataclass
 
@@ -15,10 +15,14 @@ from playlearn.policies.encoders.image import ImageConfig
 @EncoderConfig.register_subclass("torchvision")
 @dataclass(frozen=True)
 class TorchvisionConfig(ImageConfig):
-    """name: as in `torchvision.models.list_models()`. weights: null for none, else a name such as DEFAULT, downloaded.
+    """A torchvision classifier without its last layer.
 
-    From scratch, batch norm becomes group norm; pretrained, its statistics are frozen. Either way an
-    example's features do not depend on its neighbors in the batch. frozen: the body stays as it was downloaded.
+    name: as in `torchvision.models.list_models()`.
+    weights: null for none, else a name such as DEFAULT, downloaded.
+    frozen: whether the backbone stays as it was downloaded.
+
+    From scratch, batch norm becomes group norm; pretrained, its statistics are frozen. Either way an example's features
+    do not depend on the other examples of the batch.
     """
 
     name: str = "resnet18"
@@ -27,7 +31,7 @@ class TorchvisionConfig(ImageConfig):
 
     def backbone(self, channels: int, size: tuple[int, int], *, fetch: bool) -> nn.Module:
         if self.frozen and self.weights is None:
-            raise UsageError("encoder.frozen needs encoder.weights: nothing is seen through frozen random numbers")
+            raise UsageError("encoder.frozen needs encoder.weights: frozen random weights learn nothing")
         body = _body(self.name, self.weights if fetch else None)
         replace_batch_norm(body, pretrained=self.weights is not None)
         if channels != 3:
@@ -35,13 +39,13 @@ class TorchvisionConfig(ImageConfig):
         channels_last(body)
         with torch.no_grad():
             inputs = body.eval()(torch.zeros(1, channels, *size)).flatten(1).shape[1]
-        seen = Frozen(body) if self.frozen else body.train()
+        backbone = Frozen(body) if self.frozen else body.train()
         scale = Scale(channels, *IMAGENET)
-        return nn.Sequential(scale, seen, nn.Flatten(), nn.Linear(inputs, self.features), nn.ReLU())
+        return nn.Sequential(scale, backbone, nn.Flatten(), nn.Linear(inputs, self.features), nn.ReLU())
 
 
 def _body(name: str, weights: str | None) -> nn.Module:
-    # torchvision takes seconds to import: only who builds this encoder pays
+    # torchvision takes seconds to import, so only building this encoder does it
     from torchvision import models
 
     if name not in models.list_models(module=models):
@@ -59,11 +63,11 @@ def _body(name: str, weights: str | None) -> nn.Module:
         if hasattr(model, head):
             setattr(model, head, nn.Identity())
             return model
-    raise UsageError(f"encoder.name {name!r}: its classifier cannot be taken off; try resnet18 or mobilenet_v3_small")
+    raise UsageError(f"encoder.name {name!r}: its last layer cannot be removed; try resnet18 or mobilenet_v3_small")
 
 
 def _widen_first_convolution(body: nn.Module, channels: int) -> None:
-    """Let the first layer read more images at once, its weights shared out among them."""
+    """Let the first layer read more images at once, its weights divided among them."""
     for parent in body.modules():
         for name, child in parent.named_children():
             if isinstance(child, nn.Conv2d):

@@ -1,4 +1,4 @@
-"""Any vision backbone of `transformers` as a camera's network: from scratch, or from weights, frozen or tuned."""
+"""Any vision model of `transformers` as a camera's backbone: from scratch or pretrained, frozen or fine-tuned."""
 
 from dataclasses import dataclass, field, replace
 from inspect import signature
@@ -14,19 +14,22 @@ from playlearn.policies.encoders.cameras import channels_last
 from playlearn.policies.encoders.cnn import SpatialSoftmax
 from playlearn.policies.encoders.image import ImageConfig
 
-# of a model's config: what says nothing of its shape
+# fields of a model's config that do not decide its architecture
 _NOTES = ("model_type", "architectures", "transformers_version", "dtype", "_name_or_path", "id2label", "label2id")
 
 
 @EncoderConfig.register_subclass("transformers")
 @dataclass(frozen=True)
 class TransformersConfig(ImageConfig):
-    """name: a model type, such as resnet, convnextv2, vit or dinov2; options: fields of its config that differ.
+    """A vision model of `transformers`; a saved policy holds its whole config and loads without network access.
 
-    weights: null for none, else a repository of the Hugging Face hub or a folder, which then also decide name and
-    options; only safetensors are read. frozen: the body stays as the weights made it. mean, std: of the colors that
-    it expects, 0 to 1, null for those that come with the weights, else ImageNet's. A saved policy holds all of it
-    and is loaded without the network.
+    name: a model type, such as resnet, convnextv2, vit or dinov2.
+    options: fields of the model's config that differ from its defaults.
+    weights: null for none, else a repository of the Hugging Face hub or a folder, which then also decides name and
+        options; only safetensors are read.
+    frozen: whether the backbone stays as the weights are.
+    mean: of the colors that it expects, 0 to 1 (null: as given with the weights, else ImageNet's).
+    std: of the colors that it expects (null: as for mean).
     """
 
     name: str = "resnet"
@@ -38,7 +41,7 @@ class TransformersConfig(ImageConfig):
 
     def complete(self) -> "TransformersConfig":
         if self.frozen and self.weights is None:
-            raise UsageError("encoder.frozen needs encoder.weights: nothing is seen through frozen random numbers")
+            raise UsageError("encoder.frozen needs encoder.weights: frozen random weights learn nothing")
         plain = replace(self, mean=self.mean or IMAGENET[0], std=self.std or IMAGENET[1])
         if self.weights is None:
             known = _config(self.name, {})
@@ -46,7 +49,7 @@ class TransformersConfig(ImageConfig):
                 if not hasattr(known, option):
                     raise UsageError(f"encoder.options: the config of {self.name} has no field {option!r}")
             return plain
-        # transformers takes seconds to import: only who builds this encoder pays
+        # transformers takes seconds to import, so only building this encoder does it
         from transformers import AutoConfig
         from transformers.image_processing_base import ImageProcessingMixin
 
@@ -58,7 +61,7 @@ class TransformersConfig(ImageConfig):
         try:
             colors: dict[str, Any] = ImageProcessingMixin.get_image_processor_dict(self.weights)[0]
         except (OSError, ValueError):
-            colors = {}  # weights alone, without a word on the images they were trained with
+            colors = {}  # weights without a config of the images they were trained on
         return replace(
             plain,
             name=found.model_type,
@@ -71,7 +74,7 @@ class TransformersConfig(ImageConfig):
         config = _config(self.name, self.options)
         if channels != 3 and not hasattr(config, "num_channels"):
             raise UsageError(
-                f"encoder.name {self.name!r} sees one image at a time, its config has no num_channels: "
+                f"encoder.name {self.name!r} reads one image at a time, its config has no num_channels: "
                 "set encoder.fusion to late"
             )
         given = None
@@ -90,9 +93,9 @@ class TransformersConfig(ImageConfig):
             )
         replace_batch_norm(model, pretrained=self.weights is not None)
         body = channels_last(_VisionModel(model, self.name, channels, size))
-        seen: nn.Module = Frozen(body) if self.frozen else body
+        backbone: nn.Module = Frozen(body) if self.frozen else body
         scale = Scale(channels, self.mean or IMAGENET[0], self.std or IMAGENET[1])
-        return nn.Sequential(scale, seen, nn.Linear(body.width, self.features), nn.ReLU())
+        return nn.Sequential(scale, backbone, nn.Linear(body.width, self.features), nn.ReLU())
 
     def _given(self, config: Any) -> dict[str, Tensor]:
         """The weights, of three channels, by name."""
@@ -107,13 +110,13 @@ class TransformersConfig(ImageConfig):
 
     def _unreachable(self, error: Exception) -> UsageError:
         return UsageError(
-            f"encoder.weights {self.weights!r} cannot be had ({error}); set encoder.weights to null, name the model "
+            f"encoder.weights {self.weights!r} cannot be loaded ({error}); set encoder.weights to null, name the model "
             "in encoder.name and train from scratch, or try again where the network is"
         )
 
 
 class _VisionModel(nn.Module):
-    """(B, C, h, w) -> (B, width): of maps where each channel looks and what it sees, of tokens their mean."""
+    """(B, C, h, w) -> (B, width): a spatial softmax of maps, the mean of tokens."""
 
     def __init__(self, model: nn.Module, name: str, channels: int, size: tuple[int, int]) -> None:
         super().__init__()
@@ -122,28 +125,28 @@ class _VisionModel(nn.Module):
         self.arguments = {"interpolate_pos_encoding": True} if resizes else {}
         self.pool: nn.Module | None = None
         try:
-            shape = self._seen(torch.zeros(1, channels, *size)).shape
-        except Exception as error:  # a model of words and images, or one that this image is too small for
+            shape = self._features(torch.zeros(1, channels, *size)).shape
+        except Exception as error:  # a model of text and images, or one that this image is too small for
             raise UsageError(
-                f"encoder.name {name!r} does not see a {size[0]}x{size[1]} image ({type(error).__name__}: {error}); "
+                f"encoder.name {name!r} does not read a {size[0]}x{size[1]} image ({type(error).__name__}: {error}); "
                 "resnet, convnextv2, vit, dinov2 and clip_vision_model do, where their patches fit it"
             ) from error
         if len(shape) == 4:
             self.pool = SpatialSoftmax(*shape[1:])
         self.width = 4 * shape[1] if len(shape) == 4 else shape[-1]
-        # what features never depend on, such as a token for masked training, is no weight to be trained
+        # a parameter that the features do not depend on, such as a mask token, is not trained
         parameters = list(model.parameters())
-        seen = self.forward(torch.rand(2, channels, *size)).sum()
-        reached = torch.autograd.grad(seen, parameters, allow_unused=True)
-        for parameter, gradient in zip(parameters, reached, strict=True):
+        features = self.forward(torch.rand(2, channels, *size)).sum()
+        gradients = torch.autograd.grad(features, parameters, allow_unused=True)
+        for parameter, gradient in zip(parameters, gradients, strict=True):
             parameter.requires_grad_(gradient is not None)
 
     def forward(self, images: Tensor) -> Tensor:
-        seen = self._seen(images)
-        out: Tensor = seen.mean(1) if self.pool is None else self.pool(seen)
+        features = self._features(images)
+        out: Tensor = features.mean(1) if self.pool is None else self.pool(features)
         return out
 
-    def _seen(self, images: Tensor) -> Tensor:
+    def _features(self, images: Tensor) -> Tensor:
         out: Tensor = self.model(images, **self.arguments).last_hidden_state
         return out
 
@@ -163,8 +166,8 @@ def _model(config: Any) -> nn.Module:
     try:
         model: nn.Module = AutoModel.from_config(config)
     except ValueError as error:
-        raise UsageError(f"encoder.name {config.model_type!r} is no model that sees: {error}") from error
+        raise UsageError(f"encoder.name {config.model_type!r} is no vision model: {error}") from error
     pooler = getattr(model, "pooler", None)
     if pooler is not None and any(True for _ in pooler.parameters()):
-        model.register_module("pooler", None)  # sums up for a classifier that is not there
+        model.register_module("pooler", None)  # pools for a classifier that is not used
     return model

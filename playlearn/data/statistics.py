@@ -1,0 +1,28 @@
+"""Mean and standard deviation of recorded play, for normalization."""
+
+import dataclasses
+
+import numpy as np
+
+from playlearn.batch import Statistics
+from playlearn.data.dataset import PlayDataset
+from playlearn.episode import Array
+
+
+def statistics(dataset: PlayDataset) -> dict[str, Statistics]:
+    """Of `state`, `achieved` and `action` over every recorded row of the dataset's episodes.
+
+    A change has mean 0 and the standard deviation of `achieved`: its own would be near 0 where changes are rare.
+    """
+    made = {name: _statistics(getattr(dataset, name)) for name in ("state", "achieved", "action")}
+    if dataset.config.target == "next_settled_delta":
+        made["action"] = dataclasses.replace(made["achieved"], mean=np.zeros_like(made["achieved"].mean))
+    return made
+
+
+def _statistics(rows: Array) -> Statistics:
+    low, high = rows.min(axis=0), rows.max(axis=0)
+    std = rows.std(axis=0, dtype=np.float64)
+    constant = (high - low) < 1e-6 * np.maximum(1.0, np.abs(high))
+    parts = rows.mean(axis=0, dtype=np.float64), np.where(constant, 1.0, std)
+    return Statistics(*(np.asarray(part, np.float32) for part in parts))
