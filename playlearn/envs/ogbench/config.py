@@ -59,7 +59,7 @@ class OgbenchCubeConfig(OgbenchConfig):
         needed()
         from playlearn.envs.ogbench.cube import OgbenchCubeEnv
 
-        return OgbenchCubeEnv(self)
+        return OgbenchCubeEnv(self, self.cubes, self.cameras, see_through=self.see_through, exact=self.exact)
 
 
 @EnvironmentConfig.register_subclass("ogbench_scene")
@@ -73,7 +73,9 @@ class OgbenchSceneConfig(OgbenchConfig):
         needed()
         from playlearn.envs.ogbench.scene import OgbenchSceneEnv
 
-        return OgbenchSceneEnv(self)
+        return OgbenchSceneEnv(
+            self, self.cameras, see_through=self.see_through, exact=self.exact, end_unseen=self.unseen
+        )
 
 
 @PlayPolicyConfig.register_subclass("ogbench")
@@ -92,7 +94,7 @@ class OgbenchPlayConfig(PlayPolicyConfig):
         needed()
         from playlearn.envs.ogbench.play_policy import OgbenchPlayPolicy
 
-        return OgbenchPlayPolicy(environment, self)
+        return OgbenchPlayPolicy(environment, self.noise, self.smoothing)
 
     def noisier(self, noise: float) -> Self:
         return replace(self, noise=max(noise, self.noise))

@@ -25,12 +25,11 @@ import numpy as np
 from ogbench.manipspace import mjcf_utils
 from ogbench.manipspace.envs.manipspace_env import ManipSpaceEnv
 
-from playlearn.envs.ogbench.config import OgbenchConfig
 from playlearn.envs.ogbench.picture import Pictures
 from playlearn.episode import Array, Observation
 from playlearn.errors import UsageError
 from playlearn.sim.checks import check_physics, checked_action
-from playlearn.sim.environment import EnvironmentSpec, Task
+from playlearn.sim.environment import CameraConfig, EnvironmentConfig, EnvironmentSpec, Task
 from playlearn.sim.rendering.gl import backend
 from playlearn.sim.rendering.renderer import Renderer
 from playlearn.sim.rendering.simplify import VISUAL_GROUP
@@ -56,8 +55,13 @@ class Oracle(Protocol):
 class OgbenchEnv:
     """What its worlds share.
 
-    kind: of OGBench's environment; options go to its constructor. switches: how many things have states that MuJoCo
-    does not know.
+    config: builds the same environment again; on record only, nothing else is read from it.
+    kind: class of OGBench's environment; `options` go to its constructor.
+    achieved_names: what `_achieved` returns.
+    cameras: name -> size of the images.
+    see_through: draw the arm all but transparent.
+    exact: draw every pixel as OGBench does.
+    switches: number of states that MuJoCo does not hold (a pressed button).
 
     A subclass offers `_achieved`, `reached`, `_task` and `oracles`, and may override `failure` and what follows it.
     """
@@ -65,14 +69,23 @@ class OgbenchEnv:
     tasks: Mapping[str, Task]
 
     def __init__(
-        self, config: OgbenchConfig, kind: type, achieved_names: Sequence[str], switches: int = 0, **options: Any
+        self,
+        config: EnvironmentConfig,
+        kind: type,
+        achieved_names: Sequence[str],
+        cameras: Mapping[str, CameraConfig],
+        *,
+        see_through: bool,
+        exact: bool,
+        switches: int = 0,
+        **options: Any,
     ) -> None:
-        self.config, self._switches = config, switches
+        self.config, self._cameras, self._draws_exactly, self._switches = config, dict(cameras), exact, switches
         self.env = _reproducible(kind)(
             mode="task",  # only so does it know its tasks
             visualize_info=False,
             terminate_at_goal=False,
-            pixel_transparent_arm=config.see_through,
+            pixel_transparent_arm=see_through,
             **options,
         )
         self.env.saved = lambda: None
@@ -93,7 +106,7 @@ class OgbenchEnv:
             state_names=STATE_NAMES,
             achieved_names=tuple(achieved_names),
             action_names=ACTION_NAMES,
-            cameras=tuple(config.cameras),
+            cameras=tuple(cameras),
             fps=1.0 / self.env.control_timestep(),
             controller={"type": "OGBench", "robot": "UR5e", "output_max": self.env.action_high.tolist()},
         )
@@ -213,10 +226,10 @@ class OgbenchEnv:
         return Observation(state, self._achieved().astype(np.float32), images, float(self.data.time))
 
     def render(self, camera: str, height: int | None = None, width: int | None = None) -> Array:
-        size = self.config.cameras[camera]
+        size = self._cameras[camera]
         height, width, view = height or size.height, width or size.width, f"{camera}_pixels"
         self._apply()
-        if self.config.exact:
+        if self._draws_exactly:
             return self._exact.draw(self.data, view, height, width)
         return self._quick.draw(self.data.qpos, self._kept(), view, height, width)
 

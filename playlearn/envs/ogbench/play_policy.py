@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from playlearn.envs.ogbench.config import OgbenchPlayConfig
 from playlearn.envs.ogbench.env import OgbenchEnv, Oracle
 from playlearn.envs.tabletop import chance
 from playlearn.episode import Decision, Goal, Observation
@@ -24,11 +23,11 @@ class OgbenchPlayPolicy:
     name = "ogbench oracles"
     cameras: tuple[str, ...] = ()
 
-    def __init__(self, environment: Environment, config: OgbenchPlayConfig) -> None:
+    def __init__(self, environment: Environment, noise: float, smoothing: float) -> None:
         if not isinstance(environment, OgbenchEnv):
             raise UsageError("play: `type: ogbench` plays in OGBench's own worlds alone; leave `type` out elsewhere")
         self._env = environment
-        self._oracles = environment.oracles(config.noise, config.smoothing)
+        self._oracles = environment.oracles(noise, smoothing)
         self._rng = np.random.default_rng(0)
         self._stacking = 0.0
         self._oracle: Oracle | None = None

@@ -19,11 +19,10 @@ from ogbench.manipspace.oracles.plan.cube_plan import CubePlanOracle
 from ogbench.manipspace.oracles.plan.drawer_plan import DrawerPlanOracle
 from ogbench.manipspace.oracles.plan.window_plan import WindowPlanOracle
 
-from playlearn.envs.ogbench.config import OgbenchSceneConfig
 from playlearn.envs.ogbench.cube import PARTS, block
 from playlearn.envs.ogbench.env import TOLERANCE, OgbenchEnv, Oracle
 from playlearn.episode import Array
-from playlearn.sim.environment import Task
+from playlearn.sim.environment import CameraConfig, EnvironmentConfig, Task
 
 BUTTONS = 2
 NAMES = (
@@ -40,13 +39,22 @@ _RIGHT, _LEFT, _INSIDE = 0.29, -0.3, (0.06, 0.08)  # meters: where a cube is out
 
 
 class OgbenchSceneEnv(OgbenchEnv):
-    """See the module's docstring."""
+    """See the module's docstring. end_unseen: a cube that is out of sight and not in the drawer is a failure."""
 
-    config: OgbenchSceneConfig
-
-    def __init__(self, config: OgbenchSceneConfig) -> None:
+    def __init__(
+        self,
+        config: EnvironmentConfig,
+        cameras: Mapping[str, CameraConfig],
+        *,
+        see_through: bool = True,
+        exact: bool = False,
+        end_unseen: bool = False,
+    ) -> None:
+        self._end_unseen = end_unseen
         self._shared: dict[str, bytes] = {}  # by clones, as the model is: how that is switched
-        super().__init__(config, SceneEnv, NAMES, switches=BUTTONS, env_type="scene")
+        super().__init__(
+            config, SceneEnv, NAMES, cameras, see_through=see_through, exact=exact, switches=BUTTONS, env_type="scene"
+        )
 
     @property
     def drawer(self) -> float:
@@ -59,7 +67,7 @@ class OgbenchSceneEnv(OgbenchEnv):
         if (place <= low - _BEYOND).any() or (place >= high + _BEYOND).any():
             return "the cube is lost"
         inside = _INSIDE[0] <= place[2] <= _INSIDE[1]
-        if self.config.unseen and (place[1] >= _RIGHT or (place[1] <= _LEFT and not inside)):
+        if self._end_unseen and (place[1] >= _RIGHT or (place[1] <= _LEFT and not inside)):
             return "the cube is out of sight"
         return None
 
