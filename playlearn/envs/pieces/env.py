@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from playlearn.envs.pieces.named import piece_tasks
 from playlearn.envs.pieces.pieces import Piece, Pieces
+from playlearn.envs.pieces.tasks import piece_tasks
 from playlearn.envs.tabletop import TabletopConfig, TabletopEnv, View, upright
 from playlearn.episode import Array
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from playlearn.envs.pieces.named import PieceTasks, piece_tasks
 from playlearn.envs.pieces.pieces import Piece, Pieces
+from playlearn.envs.pieces.tasks import PieceTasks, piece_tasks
 from playlearn.episode import Array
 from playlearn.oracles.end_effector import EndEffector
 from playlearn.oracles.skill_library import SkillOption

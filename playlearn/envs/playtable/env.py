@@ -37,7 +37,7 @@ from playlearn.envs.playtable.layout import (
     others,
     tray_y,
 )
-from playlearn.envs.playtable.named import playtable_tasks
+from playlearn.envs.playtable.tasks import playtable_tasks
 from playlearn.episode import Array
 from playlearn.errors import UsageError
 from playlearn.sim.environment import CameraConfig, EnvironmentConfig, Task

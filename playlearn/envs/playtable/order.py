@@ -16,6 +16,7 @@ import numpy as np
 
 from playlearn.envs.playtable import scene
 from playlearn.envs.playtable.fit import ACROSS, apart, footprint, spots, top
+from playlearn.envs.playtable.grasp import Block, gripped, ways
 from playlearn.envs.playtable.layout import (
     BLOCK_NAMES,
     BULB,
@@ -38,20 +39,8 @@ from playlearn.envs.playtable.layout import (
     tray_y,
     upright,
 )
-from playlearn.envs.playtable.named import can_drop
-from playlearn.envs.playtable.skills import (
-    HIGH,
-    POSTS,
-    Block,
-    Flip,
-    Press,
-    PushIn,
-    Slide,
-    Tip,
-    Withdraw,
-    gripped,
-    ways,
-)
+from playlearn.envs.playtable.skills import HIGH, POSTS, Flip, Press, PushIn, Slide, Tip, Withdraw
+from playlearn.envs.playtable.tasks import can_drop
 from playlearn.episode import Array
 from playlearn.oracles.end_effector import EndEffector
 from playlearn.oracles.skills import Carry, Reach, Skill

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from playlearn.envs.playtable import scene
+from playlearn.envs.playtable.grasp import Block
 from playlearn.envs.playtable.layout import (
     BLOCK_NAMES,
     BULB,
@@ -21,7 +22,9 @@ from playlearn.envs.playtable.layout import (
     lies_free,
     upright,
 )
-from playlearn.envs.playtable.named import (
+from playlearn.envs.playtable.order import carry, in_hand, next_skill
+from playlearn.envs.playtable.skills import POSTS, Flip, Press, PushIn, Slide, Tip
+from playlearn.envs.playtable.tasks import (
     before_drawer,
     can_drop,
     can_shelve,
@@ -32,8 +35,6 @@ from playlearn.envs.playtable.named import (
     stacked,
     stowed,
 )
-from playlearn.envs.playtable.order import carry, in_hand, next_skill
-from playlearn.envs.playtable.skills import POSTS, Block, Flip, Press, PushIn, Slide, Tip
 from playlearn.episode import Array
 from playlearn.oracles.end_effector import EndEffector
 from playlearn.oracles.skill_library import SkillOption
