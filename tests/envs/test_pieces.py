@@ -1,4 +1,4 @@
-"""Laws of the worlds of pieces: Lift and Stack are robosuite's own, and any arrangement can be made of any other."""
+"""Laws of the environments of pieces: Lift and Stack are robosuite's own, any arrangement can be made of any other."""
 
 from collections.abc import Callable
 
@@ -20,7 +20,7 @@ def stack() -> PiecesEnv:
 
 
 def robosuite_says(env: PiecesEnv) -> bool:
-    """What robosuite's own environment calls success in the state that the world is in."""
+    """What robosuite's own environment calls success in the state that the environment is in."""
     their_env = env.robosuite
     their_env.sim.data.qpos[:] = env.data.qpos
     their_env.sim.forward()

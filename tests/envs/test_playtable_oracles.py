@@ -42,7 +42,7 @@ def begin(env: PlayTableEnv, name: str, seed: int) -> tuple[np.ndarray, np.ndarr
 
 
 def drive(env: PlayTableEnv, goal: np.ndarray, steps: int, content: Callable[[np.ndarray], bool]) -> bool:
-    """Whether the expert brings the world to where `content` holds for a quarter of a second."""
+    """Whether the expert brings the table to where `content` holds for a quarter of a second."""
     expert = expert_for(env)
     expert.reset([Goal(goal)], [0])
     held = 0
@@ -208,14 +208,14 @@ def test_play_without_noise_or_mistakes_executes_its_labels(env: PlayTableEnv) -
 def test_mistakes_change_what_is_done_and_not_what_was_meant(env: PlayTableEnv) -> None:
     clumsy = play(env, 4, 40, PlayConfig(noise=0.0, pause=0.0, mistake=1.0, slip=0.0))
     strayed = np.abs(clumsy.action - clumsy.expert_action).max(axis=1)
-    assert strayed[:20].max() > 0.3  # acts on a place 3 cm or more from where things are
+    assert strayed[:20].max() > 0.3  # acts on a place 3 cm or more from where objects are
     seen = clumsy.expert_action
     assert np.isfinite(seen).all()
     assert np.abs(seen).max() <= 1
 
 
-def test_play_changes_the_world_in_many_ways(env: PlayTableEnv) -> None:
-    """Until four kinds of skill were tried, a block was moved and the hand got about: of some ten tries two suffice."""
+def test_play_changes_the_table_in_many_ways(env: PlayTableEnv) -> None:
+    """Until four kinds of skill were tried, a block was moved and the gripper moved about: two tries suffice."""
     skills, moved, about = set(), 0.0, 0.0
     for seed in range(10):
         episode = play(env, 10 + seed, 300, PlayConfig())

@@ -50,8 +50,8 @@ class Looking:
         self.looks = 0
         self.shown: list[tuple[tuple[int, ...], str]] = []
 
-    def show(self, image: Array, words: str) -> None:
-        self.shown.append((image.shape, words))
+    def show(self, image: Array, text: str) -> None:
+        self.shown.append((image.shape, text))
         self._look()
 
     def wish(self) -> Wish | None:
@@ -173,10 +173,10 @@ def test_steps_come_in_real_time_even_where_drawing_is_slow(tmp_path: Path, play
         assert np.diff(looks).max() < 0.5, "the picture stays fresh"
 
 
-def test_one_person_plays_in_one_world_with_a_hand(playtable: Any) -> None:
+def test_one_teleoperator_plays_in_one_environment_with_an_arm(playtable: Any) -> None:
     from tests.fakes import PointConfig, PointEnv
 
-    with pytest.raises(ValueError, match="one person"):
+    with pytest.raises(ValueError, match="one teleoperator"):
         actor(Scripted([]), playtable, Looking()).reset([None, None], [0, 1])
     with pytest.raises(UsageError, match="7 numbers"):
         actor(Scripted([]), PointEnv(PointConfig()), Looking())
@@ -329,10 +329,10 @@ from playlearn.envs import PlayTableConfig
 from playlearn.teleop.device import Wish
 from playlearn.teleop.window import Window
 import glfw
-world = PlayTableConfig().build()
+env = PlayTableConfig().build()
 with Window("test", 96, 128) as window:
     for _ in range(3):  # two contexts in one thread, by turns
-        window.show(world.render("front", 96, 128), "hello")
+        window.show(env.render("front", 96, 128), "hello")
         assert window.wish() is None
     for key, wish in ((glfw.KEY_ENTER, Wish.KEEP), (glfw.KEY_BACKSPACE, Wish.DISCARD), (glfw.KEY_ESCAPE, Wish.LEAVE)):
         window._pressed(None, key, 0, glfw.PRESS, 0)

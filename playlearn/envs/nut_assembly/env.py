@@ -30,9 +30,11 @@ ON_PEG = 0.03  # meters, robosuite's own
 @EnvironmentConfig.register_subclass("nut_assembly")
 @dataclass(frozen=True)
 class NutAssemblyConfig(TabletopConfig):
-    """nut: which of robosuite's two. beyond: share of random starts anywhere on the table; on_peg: on its peg.
+    """robosuite's NutAssembly with one nut.
 
-    All others are robosuite's own.
+    nut: which of robosuite's two.
+    beyond: fraction of random starts with the nut anywhere on the table.
+    on_peg: fraction with the nut on its peg; all others are robosuite's own.
     """
 
     nut: Literal["square", "round"] = "square"
@@ -95,7 +97,7 @@ def yaw(achieved: Array) -> float:
 
 
 def on_peg(achieved: Array, peg: tuple[float, float]) -> bool:
-    """Whether the nut is on its peg, as robosuite judges it."""
+    """Whether the nut is on its peg, by robosuite's own test."""
     return bool(np.abs(achieved[:2] - peg).max() < ON_PEG and achieved[2] < TABLE_Z + 0.05)
 
 

@@ -25,8 +25,8 @@ _NEAR, _NEAR_YAW = 0.02, 0.2
 class Bring:
     """Take the nut by its handle to where `goal` (G,) shows it: over the peg and down, or about the table.
 
-    The handle makes every direction different, so the wrist must turn as far as the nut does: the hand takes it
-    on that side from which it can.
+    The handle makes every direction different, so the wrist must turn as far as the nut does: the gripper takes it
+    on the side from which it can.
     """
 
     name: str
@@ -52,7 +52,7 @@ class Bring:
         off = achieved[:3] - self.goal[:3]
         loose = (
             2.0 if self._threading and on_peg(achieved, self.peg) else 1.0
-        )  # it goes no further than its hole lets it
+        )  # it turns no farther than its hole allows
         turned = abs(turn(yaw(achieved), self._direction, 2 * np.pi))
         return bool(np.hypot(*off[:2]) < _NEAR and abs(off[2]) < 0.012 and turned < loose * _NEAR_YAW)
 
@@ -62,7 +62,7 @@ class Bring:
         return self.there(achieved) and not held(hand, achieved) and hand.position[2] > self.goal[2] + 0.06
 
     def plan(self, hand: EndEffector, achieved: Array, style: Style) -> Sequence[Waypoint]:
-        return ()  # which way round a wrist turns cannot be told in waypoints
+        return ()  # waypoints cannot tell which way round a wrist turns
 
     @property
     def _direction(self) -> float:
@@ -137,7 +137,7 @@ def held(hand: EndEffector, achieved: Array) -> bool:
 
 
 class NutSkillLibrary:
-    """A `SkillLibrary`; see there."""
+    """The `SkillLibrary` of one nut."""
 
     idle = ((-0.15, -0.2, 1.0), (0.1, 0.25, 1.1))
 
@@ -184,7 +184,7 @@ def _window(angle: float) -> float:
 
 
 def _cost(way: float, left: float) -> float:
-    """How ill it suits to take the nut with the fingers along `way` rad, when it is to be turned by `left`."""
+    """Cost of taking the nut with the fingers along `way` rad, when it is to be turned by `left` rad."""
     end: float = _window(way + left)
     # What cannot be turned whole can be laid down on the way; what cannot be gripped cannot.
     out = 40.0 * _beyond(way) + 20.0 * _beyond(end)
@@ -192,13 +192,13 @@ def _cost(way: float, left: float) -> float:
 
 
 def _beyond(angle: float) -> float:
-    """How far it is outside of what the wrist can surely turn to, rad."""
+    """How far it is outside the wrist's sure range, rad."""
     worst: float = max(0.0, _LOWEST - angle, angle - _HIGHEST)
     return worst
 
 
 def _down(angle: float) -> Array:
-    """(3, 3) of a hand that points down with its finger axis along `angle` rad."""
+    """(3, 3) of a gripper that points down with its finger axis along `angle` rad."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
 

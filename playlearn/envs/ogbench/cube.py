@@ -1,7 +1,7 @@
-"""OGBench's cube worlds: one to four cubes on a table.
+"""OGBench's cube environments: one to four cubes on a table.
 
 `achieved` (5 n,): block_i.x y z c s, as `playlearn.envs.pieces` has them: meters and (cos, sin)(4 yaw), the same after
-every quarter turn. OGBench's observation tells quaternion and yaw instead, its goals of objects x y z alone.
+every quarter turn. OGBench's observation has quaternion and yaw instead, its goals have x y z alone.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ from playlearn.sim.environment import CameraConfig, EnvironmentConfig, Task
 
 PARTS = ("x", "y", "z", "c", "s")
 KINDS = ("single", "double", "triple", "quadruple")
-_STACKING = ((0.0, 0.0), (0.0, 0.25), (0.05, 0.35), (0.1, 0.5))  # between which an episode's chance is drawn
+_STACKING = ((0.0, 0.0), (0.0, 0.25), (0.05, 0.35), (0.1, 0.5))  # between which an episode's probability is drawn
 
 
 class OgbenchCubeEnv(OgbenchEnv):

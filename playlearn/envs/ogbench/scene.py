@@ -2,7 +2,7 @@
 
 `achieved` (19,):
 
-    block_0.x y z c s     as in the cube worlds
+    block_0.x y z c s     as in the cube environments
     button_i.x y z on     meters, where its top is, pressed or not; on: 1 unlocks the drawer (0) or the window (1)
     drawer.x y z          meters, where its handle is: y goes with the drawer
     window.x y z          meters, where its handle is: x goes with the window
@@ -28,7 +28,7 @@ BUTTONS = 2
 NAMES = (
     *(f"block_0.{part}" for part in PARTS),
     *(f"button_{i}.{part}" for i in range(BUTTONS) for part in ("x", "y", "z", "on")),
-    *(f"{thing}.{axis}" for thing in ("drawer", "window") for axis in ("x", "y", "z")),
+    *(f"{fixture}.{axis}" for fixture in ("drawer", "window") for axis in ("x", "y", "z")),
 )
 BLOCK, ON, DRAWER, WINDOW = slice(0, 3), [8, 12], slice(13, 16), slice(16, 19)
 DRAWER_Y, WINDOW_X = 14, 16

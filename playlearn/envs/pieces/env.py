@@ -15,8 +15,11 @@ _VIEW = View(eye=(0.72, 0.0, 1.45), at=(-0.01, 0.0, 0.84), fovy=30)
 class PiecesEnv(TabletopEnv):
     """A robosuite scene of pieces.
 
-    beyond: share of random starts in which pieces lie anywhere on the area, not where robosuite lays them.
-    stacked: share in which one is on another.
+    name: what robosuite has registered it as; `options` go to its constructor.
+    pieces: with the table they lie on.
+    beyond: fraction of random starts in which pieces lie anywhere on the area, not where robosuite lays them.
+    stacked: fraction in which one is on another.
+    view: of the front camera.
     """
 
     def __init__(

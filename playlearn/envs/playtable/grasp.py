@@ -17,10 +17,12 @@ _WIDTHS = {ACROSS: (0.028, 0.050), ALONG: (0.060, 0.0745)}  # meters between the
 
 @dataclass(frozen=True)
 class Block:
-    """A `Thing`: block `index`, gripped across its long side where the gripper fits there, else along it.
+    """A `GraspableObject`.
 
-    to: where it is going ((3,) m and yaw), if that matters to how it is gripped. over: z in m, above which it is
-    carried.
+    index: of the block.
+    to: where it is going ((3,) m and yaw), if that matters to how it is gripped.
+    over: z in meters above which it is carried.
+    symmetry: rad.
     """
 
     index: int

@@ -1,4 +1,4 @@
-"""Who drives PlayTable: what play tries there, and what to put where."""
+"""The skill library of PlayTable: what play tries there, and which skill serves a goal."""
 
 from collections.abc import Callable, Sequence
 
@@ -69,7 +69,7 @@ Moved = Callable[[Array, int, np.random.Generator], Array]
 
 
 class PlayTableSkillLibrary:
-    """A `SkillLibrary`; see there."""
+    """The `SkillLibrary` of PlayTable."""
 
     idle = ((-0.15, -0.2, scene.TABLE_Z + 0.14), (0.13, 0.2, scene.TABLE_Z + 0.25))
 
@@ -77,7 +77,7 @@ class PlayTableSkillLibrary:
         self._tasks = playtable_tasks()
 
     def options(self) -> Sequence[SkillOption]:
-        """The named tasks, and what nobody names: laying a block elsewhere, out of drawer and bay, on its side."""
+        """The named tasks and what is none: laying a block elsewhere, out of drawer and bay, on its side."""
         named = [_option(task) for task in self._tasks.values()]
         own = [option for index in _ALL for option in _of_block(index)]
         return [*named, *own, _anywhere("drawer", DRAWER), _anywhere("slider", SLIDER)]

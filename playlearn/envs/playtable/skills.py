@@ -28,7 +28,13 @@ TIP = 0.009  # meters from the grip site down to where the fingers end
 
 @dataclass(frozen=True)
 class Post:
-    """A fixture that slides along y, `achieved[index]` in 0 .. travel m; its post stands at `xy` when that is 0."""
+    """The post of a fixture that slides along y.
+
+    index: of the fixture in `achieved`, 0 .. travel.
+    xy: (2,) m, where the post stands at 0.
+    grip_z: meters at which it is gripped.
+    travel: meters.
+    """
 
     index: int
     xy: tuple[float, float]
@@ -48,7 +54,7 @@ POSTS = {
 
 @dataclass(frozen=True)
 class Slide:
-    """Take a fixture by its post and bring it to `value` m. near: meters within which it counts as there."""
+    """Take a fixture by its post and bring it to `value` m. near: meters within which it is there."""
 
     name: str
     post: Post
@@ -65,7 +71,7 @@ class Slide:
             return hand.move(post + np.array([0.0, left + np.sign(left) * 0.01, 0.0]), REST_YAW, CLOSE, style.speed)
         if held or abs(left) <= self.near:
             away = hand.position + up(0.08 if hand.opening > 0.032 else 0.0)
-            if off < 0.03:  # straight up, whereto the arm may drift
+            if off < 0.03:  # straight up, wherever the arm may drift
                 away[:2] = post[:2]
             return hand.move(away, REST_YAW, OPEN, style.speed)
         turn = hand.yaw_error(REST_YAW)
@@ -83,7 +89,7 @@ class Slide:
 
     @staticmethod
     def _grip(hand: EndEffector, post: Array) -> tuple[float, bool, bool]:
-        """How far in meters the hand is from the post, whether it is at its height, and whether it has hold of it."""
+        """Meters from the gripper to the post, whether it is at its height, and whether it holds it."""
         off = float(np.hypot(*(hand.position - post)[:2]))
         level = bool(abs(hand.position[2] - post[2]) < 0.015)
         return off, level, 0.018 < hand.opening < 0.028 and off < 0.02 and level
@@ -170,7 +176,7 @@ class Flip:
 
     def act(self, hand: EndEffector, achieved: Array, style: Style) -> Array:
         x, _ = scene.LEVER_XY
-        side = -1.0 if self.lit else 1.0  # of the knob, on which the hand comes down
+        side = -1.0 if self.lit else 1.0  # of the knob, on which the gripper comes down
         if self._over(achieved):
             low = hand.position[2] < _FLIP_Z + 0.03
             away = np.array([hand.position[0], hand.position[1] + (0.03 * side if low else 0.0), HIGH])

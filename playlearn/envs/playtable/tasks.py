@@ -1,4 +1,4 @@
-"""The named tasks of PlayTable, CALVIN's 34 (Mees et al., 2022): where each starts, what it asks for, how it is judged.
+"""The named tasks of PlayTable, CALVIN's 34 (Mees et al., 2022): where each starts, its goal, its success.
 
 Left and right are the robot's: y > 0 is its left. Turned left is counter-clockwise as seen from above.
 Where a task does not say which block, `command` draws one of those that suit; the goal tells which it was.
@@ -184,7 +184,7 @@ def _with_some(
 
 
 def _came(inside: Callable[[Array, int], bool]) -> Callable[[Array, Array, Array], bool]:
-    """Content exactly when every block that the goal shows newly there is there."""
+    """True exactly when every block that the goal shows newly there is there."""
 
     def judge(start: Array, achieved: Array, goal: Array) -> bool:
         new = [i for i in _ALL if inside(goal, i) and not inside(start, i)]
@@ -194,13 +194,13 @@ def _came(inside: Callable[[Array, int], bool]) -> Callable[[Array, Array, Array
 
 
 def _stacked(start: Array, achieved: Array, goal: Array) -> bool:
-    """Content exactly when every block that the goal shows newly on another is on that one."""
+    """True exactly when every block that the goal shows newly on another is on that one."""
     new = {i: supporter(goal, i) for i in _ALL if supporter(goal, i) not in (None, supporter(start, i))}
     return bool(new) and all(supporter(achieved, i) == under for i, under in new.items())
 
 
 def _unstacked(start: Array, achieved: Array, goal: Array) -> bool:
-    """Content exactly when every block that the goal shows taken off another lies on the deck."""
+    """True exactly when every block that the goal shows taken off another lies on the deck."""
     off = [i for i in _ALL if supporter(start, i) is not None and supporter(goal, i) is None]
     return bool(off) and all(on_table(achieved, i) for i in off)
 
