@@ -175,7 +175,7 @@ class _EnvironmentPlay:
         mistake, slip = Misjudgment(config.mistake), Slip(config.slip, skill_library.holding)
         open_loop, give_up = OpenLoop(config.open_loop, config.path_noise), GiveUp(config.give_up)
         noise = MotionNoise(config.noise, config.noise_autocorrelation)
-        # A seed's play depends on the order in which they draw, and a step on the order in which they change it.
+        # A seed's play depends on the order of the draws, and each step on the order of the changes.
         self._draw_order: tuple[Perturbation, ...] = (pause, hold, mistake, slip, open_loop, give_up)
         self._step_order: tuple[Perturbation, ...] = (open_loop, mistake, noise, slip, pause)
 

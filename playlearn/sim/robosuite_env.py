@@ -46,7 +46,7 @@ class RobosuiteEnv:
         restored and painted.
     paint: (model, what `_shown` returns) -> None, shows these numbers on a model.
 
-    A subclass offers `_achieved`, `_arrange`, `failure`, `reached`, and may override `_after_step`.
+    A subclass implements `_achieved`, `_arrange`, `failure`, `reached`, and may override `_after_step`.
     """
 
     def __init__(

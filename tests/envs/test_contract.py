@@ -146,10 +146,10 @@ def test_the_expert_does_every_task(env: Any) -> None:
 def _done(env: Any, expert: Any, task: Task, seed: int) -> bool:
     start, goal = begin(env, task, seed)
 
-    def content(_: int, seen: Any) -> bool:
+    def solved(_: int, seen: Any) -> bool:
         return task.judge(start, seen.achieved, goal)
 
-    return rollout([env], expert, [Goal(goal)], seeds=[0], max_steps=250, stop=content)[0].ended == "stopped"
+    return rollout([env], expert, [Goal(goal)], seeds=[0], max_steps=250, stop=solved)[0].ended == "stopped"
 
 
 def test_the_expert_rests_where_nothing_is_to_be_done(env: Any) -> None:

@@ -25,7 +25,7 @@ def can() -> PickPlaceEnv:
 
 
 def test_stowed_is_what_robosuite_calls_success(env: PickPlaceEnv) -> None:
-    """robosuite also asks that the hand has left it, as it has here."""
+    """robosuite also asks that the gripper has left it, as it has here."""
     own, their_env = list(PARCELS).index(env.parcel.name), env.robosuite
     env.reset(0)
     for index, center in enumerate(_CENTERS):

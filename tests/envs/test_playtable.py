@@ -103,17 +103,19 @@ def test_starts_show_all_that_the_table_has(env: PlayTableEnv) -> None:
 
 
 @pytest.mark.parametrize(
-    ("action", "says"),
+    ("action", "message"),
     [
         (np.full(7, np.nan), "not finite"),
         (np.zeros(6), "shape"),
         (np.full(7, 1.5), r"\[-1, 1\]"),
     ],
 )
-def test_a_bad_action_is_refused_and_leaves_the_world_alone(env: PlayTableEnv, action: np.ndarray, says: str) -> None:
+def test_a_bad_action_is_refused_and_leaves_the_state_alone(
+    env: PlayTableEnv, action: np.ndarray, message: str
+) -> None:
     env.reset(0)
     before = env.sim_state()
-    with pytest.raises(ActionError, match=says):
+    with pytest.raises(ActionError, match=message):
         env.step(action)
     np.testing.assert_array_equal(env.sim_state(), before)
 
