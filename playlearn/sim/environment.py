@@ -20,7 +20,7 @@ class CameraConfig:
 
 @dataclass(frozen=True)
 class Task:
-    """A named task: where it starts, what to ask an expert for, and how to judge the outcome.
+    """A named task: where it starts, what to ask an expert for, and what counts as success.
 
     name: unique in its environment.
     kind: what it is an instance of (`lift` of `lift_red`), for play's weights.
