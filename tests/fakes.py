@@ -1,6 +1,6 @@
-"""A tiny planar world with everything that the Environment protocol asks for: quick, exact, drawable.
+"""A tiny planar environment with everything that the Environment protocol asks for: quick, exact, drawable.
 
-A hand moves on the square [-1, 1]^2. While its grip is closed it drags the puck if that was within
+A gripper moves on the square [-1, 1]^2. While its grip is closed it drags the puck if that was within
 `REACH` when it closed; closing it over the button switches the lamp. A puck beyond the edge fell off.
 """
 

@@ -1,10 +1,11 @@
-"""The worlds one can play in: a file (or a folder) each, with its scene, named tasks, judges, skills and driver.
+"""The environments: a file (or a folder) each, with its scene, named tasks, success tests and skill library.
 
-To import one is to register it: its config under `environment: {type: ...}`, and who drives it.
+Importing one registers it: its config under `environment: {type: ...}`, and the skill library that acts in it.
 """
 
 from playlearn.envs.door import DoorConfig
 from playlearn.envs.lift import LiftConfig
+from playlearn.envs.make import make_env
 from playlearn.envs.nut_assembly import NutAssemblyConfig
 from playlearn.envs.ogbench import OgbenchCubeConfig, OgbenchPlayConfig, OgbenchSceneConfig
 from playlearn.envs.pick_place import PickPlaceConfig
@@ -23,4 +24,5 @@ __all__ = [
     "PlayTableConfig",
     "StackConfig",
     "WipeConfig",
+    "make_env",
 ]

@@ -34,14 +34,17 @@ _PLAY = 0.11  # rad of lever that are called 0
 _FRAME_Z = 1.1
 _ARM = 0.10
 _LATCHED, _TURNED = 0.19, 1.27  # rad of door below which, and of lever from which on, the latch passes
-_UP = -1.4  # rad to which it is turned: upwards, where a wrist has the room
+_UP = -1.4  # rad to which it is turned: upwards, where the wrist has room
 _NEAR, _STAYS = 0.02, 0.045  # rad within which the lever is let go, and beyond which it is taken again
 
 
 @EnvironmentConfig.register_subclass("door")
 @dataclass(frozen=True)
 class DoorConfig(TabletopConfig):
-    """opened: share of random starts with the door open at a random angle; in the others it is shut, as robosuite's."""
+    """robosuite's Door.
+
+    opened: fraction of random starts with the door open at a random angle; in all others it is shut, as in robosuite.
+    """
 
     opened: float = 0.5
 
@@ -146,7 +149,7 @@ class Swing:
         return hand.pose(place - rotation[:, 2] * away, rotation, CLOSE if close else OPEN, style.speed)
 
     def _lead(self, hand: EndEffector, achieved: Array, angle: float, latch: float, style: Style) -> Array:
-        """With the lever in hand."""
+        """While the gripper holds the lever."""
         left = self.angle - angle
         if abs(left) <= _NEAR:
             if abs(latch) < 0.25:
@@ -167,11 +170,11 @@ class Swing:
         return bool(clear and abs(self.angle - achieved[ANGLE]) <= _STAYS)
 
     def plan(self, hand: EndEffector, achieved: Array, style: Style) -> Sequence[Waypoint]:
-        return ()  # a hand that does not point down, on a lever that must be felt
+        return ()  # the gripper does not point down, and the lever takes feedback
 
 
 class DoorSkillLibrary:
-    """A `SkillLibrary`; see there."""
+    """The `SkillLibrary` of the door."""
 
     idle = ((-0.25, -0.05, 1.0), (0.0, 0.15, 1.15))
 
@@ -198,7 +201,7 @@ class DoorSkillLibrary:
 
 
 def grip(achieved: Array, angle: float, latch: float) -> tuple[Array, Array]:
-    """How a hand holds the lever, (3,) m and rotation (3, 3), were the door at `angle` and it at `latch` rad."""
+    """The gripper's grasp of the lever, (3,) m and rotation (3, 3), were the door at `angle` and it at `latch` rad."""
     x, y, c, s = (float(v) for v in achieved[2:])
     frame = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     swung = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
@@ -212,9 +215,9 @@ def grip(achieved: Array, angle: float, latch: float) -> tuple[Array, Array]:
 
 
 def _lever(achieved: Array) -> float:
-    """rad that the lever is turned, as well as can be told."""
-    told = float(achieved[LATCH])
-    return told + float(np.sign(told)) * _PLAY
+    """rad that the lever is turned, as far as `achieved` tells it."""
+    beyond = float(achieved[LATCH])
+    return beyond + float(np.sign(beyond)) * _PLAY
 
 
 register_skill_library("door", lambda _: DoorSkillLibrary())

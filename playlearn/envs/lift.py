@@ -17,7 +17,10 @@ PIECES = Pieces((Piece("cube", 0, width=0.042, height=0.042),), Table())
 @EnvironmentConfig.register_subclass("lift")
 @dataclass(frozen=True)
 class LiftConfig(TabletopConfig):
-    """beyond: share of random starts with the cube anywhere within reach; the others are robosuite's own."""
+    """robosuite's Lift.
+
+    beyond: fraction of random starts with the cube anywhere within reach; all others are robosuite's own.
+    """
 
     beyond: float = 0.5
 

@@ -1,4 +1,4 @@
-"""A parcel: one thing that stands in a bin, or lies there after a fall, and how a hand deals with it."""
+"""A parcel: one object that stands in a bin, or lies there after a fall, and how a gripper handles it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ FLOOR, RIM = 0.82, 0.90  # meters: the bins' floor, and the top of their walls
 SHOULDER, STRETCHED = (-0.5, -0.1), 0.71  # meters: where robosuite stands a robot at its bins; see `TiltedSkill`
 _DEEP = 0.022  # meters below its top at which a parcel is gripped: deeper, and the palm would rest on it
 PALM = 0.045  # meters below the walls' rim from which on a palm would rest on them before its fingers grip
-_WIDEST = 0.066  # meters that a hand can grip
+_WIDEST = 0.066  # meters that a gripper can span
 _TURNED = 1.0  # rad from across the arm's way that a wrist can surely turn what stands
 _ROOM = 0.010
 _WALLS_X, _WALLS_Y = (-0.1, 0.1, 0.3), (-0.5, 0.0, 0.03, 0.28, 0.53)  # meters: the middle lines of the walls
@@ -25,10 +25,12 @@ _WEIGHTS = {"lift": 0.6, "stow": 1.4, "take_out": 3.0}  # how often play tries e
 
 @dataclass(frozen=True)
 class Parcel:
-    """A `Thing`. half: m, half of its thin and its other side. below, above: m from its center to its ends.
+    """A `GraspableObject`.
 
+    half: meters, half of its thin and of its other side.
+    below, above: meters from its center to its ends.
     thin: which of the body's axes (0 or 1) the thin side lies along; None of a can, which has no such side.
-    spins: that its yaw does not matter now, as a can's that stands.
+    spins: whether its yaw does not matter now, as that of a standing can.
     """
 
     name: str
@@ -47,8 +49,8 @@ class Parcel:
         parts = ("x", "y", "z", "up", "long.c", "long.s", *(() if self.round else ("thin.c", "thin.s")))
         return tuple(f"{self.name}.{part}" for part in parts)
 
-    def told(self, position: Array, rotation: Array) -> Array:
-        """(G,) what is achieved of a body at (3,) m with rotation (3, 3)."""
+    def achieved_of(self, position: Array, rotation: Array) -> Array:
+        """(G,) the achieved goal of a body at (3,) m with rotation (3, 3)."""
         axes = rotation[0] + 1j * rotation[1]  # (3,) each body axis, in the plane; the last is the long one
         codes = [axes[2] ** 2] if self.thin is None else [axes[2] ** 2, axes[self.thin] ** 2]
         parts = [part for code in codes for part in (code.real, code.imag)]
@@ -64,16 +66,16 @@ class Parcel:
         return self.half[1] if self.round or np.hypot(*achieved[6:8]) > 0.5 else self.half[0]
 
     def lost(self, achieved: Array) -> str | None:
-        """Why nobody can bring it anywhere any more, or None."""
+        """Why it can no longer be moved anywhere, or None."""
         x, y, z = achieved[:3]
         if z < FLOOR - 0.03 or not (-0.13 < x < 0.33 and -0.53 < y < 0.56):
             return f"the {self.name} fell out of the bins"
         if not self.standing(achieved) and z < RIM - 0.02 and 2 * self._width(achieved) > _WIDEST:
-            return f"the {self.name} fell flat, too wide for a hand to take it up"
+            return f"the {self.name} fell flat, too wide for a gripper to take it up"
         return None
 
     def sunk(self, achieved: Array) -> bool:
-        """Whether it lies too low in a compartment for a hand, which is wider than the compartment, to grip it."""
+        """Whether it lies too low in a compartment for the gripper, which is wider than the compartment."""
         low = self.rest(achieved) + FLOOR < RIM - PALM and achieved[2] < RIM - PALM
         return bool(low and achieved[1] > _WALLS_Y[2])
 
@@ -83,7 +85,7 @@ class Parcel:
             return self.half[0]  # or half[1], where the two are much alike
         return self.half[0] if np.hypot(*achieved[6:8]) > 0.5 else self.half[1]
 
-    # Thing ------------------------------------------------------------------------------------------
+    # GraspableObject ------------------------------------------------------------------------------------------
 
     @property
     def symmetry(self) -> float:
@@ -137,7 +139,7 @@ class Parcel:
 
 
 def _cost(hand: EndEffector, place: Array, yaw: float) -> float:
-    """How ill `yaw` suits: fingers must go between walls, and best across the arm's way, which a hand leans along."""
+    """Cost of gripping at `yaw`: fingers must fit between walls, best across the arm, along which the gripper leans."""
     x, y = place[:2] - SHOULDER
     reach = _FINGER * np.array([np.cos(yaw), np.sin(yaw)])
     free = min(_free(place[:2] + reach), _free(place[:2] - reach))
@@ -152,7 +154,7 @@ def _free(place: Array) -> float:
 
 
 class ParcelSkillLibrary:
-    """Who drives one parcel; see `SkillLibrary`."""
+    """The `SkillLibrary` of one parcel."""
 
     idle = ((0.0, -0.35, FLOOR + 0.16), (0.2, 0.2, FLOOR + 0.28))
 
@@ -187,8 +189,8 @@ class ParcelSkillLibrary:
         elif not parcel.standing(goal):
             yaw = parcel.yaw(goal)
         width = 2 * parcel._width(achieved)
-        thing = replace(parcel, spins=parcel.round and parcel.standing(achieved))
-        carry = Carry(name, thing, (x, y, z), yaw, not parcel.aloft(goal), room=width + _ROOM)
+        grasped = replace(parcel, spins=parcel.round and parcel.standing(achieved))
+        carry = Carry(name, grasped, (x, y, z), yaw, not parcel.aloft(goal), room=width + _ROOM)
         return TiltedSkill(carry, SHOULDER, STRETCHED)
 
     def _option(self, task: Task) -> SkillOption:

@@ -28,7 +28,7 @@ PARCELS = {
     "can": Parcel("can", (0.025, 0.025), below=0.040, above=0.040),
 }
 """In the order in which robosuite gives each its compartment."""
-BIN = ((-0.01, 0.21), (-0.40, -0.10))  # x and y where things are laid in the first bin
+BIN = ((-0.01, 0.21), (-0.40, -0.10))  # x and y where objects are laid in the first bin
 LEFT_BIN = ((-0.1, 0.3), (-0.5, 0.0))  # x and y of all of it
 POSITION_TOLERANCE, HEIGHT_TOLERANCE, UP_TOLERANCE = 0.04, 0.02, 0.3
 LIFTED = 0.04  # meters above where it rests
@@ -40,9 +40,11 @@ _HALF = (0.0975, 0.1225)
 @EnvironmentConfig.register_subclass("pick_place")
 @dataclass(frozen=True)
 class PickPlaceConfig(TabletopConfig):
-    """object: which of robosuite's four. beyond: share of random starts with it in a compartment.
+    """robosuite's PickPlace with one object.
 
-    All others are robosuite's own: standing anywhere in the first bin.
+    object: which of robosuite's four.
+    beyond: fraction of random starts with it in a compartment; all others are robosuite's own: standing anywhere in
+        the first bin.
     """
 
     object: Literal["can", "milk", "bread", "cereal"] = "can"
@@ -69,13 +71,13 @@ class PickPlaceEnv(TabletopEnv):
         self._body, self._joint = self.body(f"{name}_main"), f"{name}_joint0"
 
     def _achieved(self) -> Array:
-        return self.parcel.told(self.data.xpos[self._body], self.data.xmat[self._body].reshape(3, 3))
+        return self.parcel.achieved_of(self.data.xpos[self._body], self.data.xmat[self._body].reshape(3, 3))
 
     def failure(self) -> str | None:
         achieved = self._achieved()
         left_alone = self.data.site_xpos[self._site, 2] > RIM + 0.1
         if left_alone and self.parcel.sunk(achieved):
-            return f"the {self.parcel.name} lies in a compartment, too low for a hand to take it out"
+            return f"the {self.parcel.name} lies in a compartment, too low for a gripper to take it out"
         return self.parcel.lost(achieved)
 
     def reached(self, achieved: Array, goal: Array) -> bool:
@@ -94,7 +96,7 @@ class PickPlaceEnv(TabletopEnv):
 
 
 def compartment(achieved: Array) -> int | None:
-    """In which of the four it is, as robosuite judges it, or None."""
+    """In which of the four it is by robosuite's own test, or None."""
     for index, (x, y) in enumerate(_CENTERS):
         inside = abs(achieved[0] - x) < _HALF[0] and abs(achieved[1] - y) < _HALF[1]
         if inside and 0.8 < achieved[2] < 0.9:

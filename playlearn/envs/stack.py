@@ -17,9 +17,10 @@ PIECES = Pieces((Piece("cubeA", 0, width=0.04, height=0.04), Piece("cubeB", 1, w
 @EnvironmentConfig.register_subclass("stack")
 @dataclass(frozen=True)
 class StackConfig(TabletopConfig):
-    """beyond: share of random starts with the cubes anywhere within reach. stacked: share with one on the other.
+    """robosuite's Stack.
 
-    All others are robosuite's own.
+    beyond: fraction of random starts with the cubes anywhere within reach.
+    stacked: fraction with one on the other; all others are robosuite's own.
     """
 
     beyond: float = 0.4

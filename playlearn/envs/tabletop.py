@@ -1,7 +1,7 @@
-"""What every task that robosuite has registered shares: its scene by name, two cameras, its own random starts.
+"""What all of robosuite's own environments share: the scene by name, two cameras, robosuite's random starts.
 
-The arena, the objects, the robot and its controller are robosuite's, untouched; a task's file says what its
-goals speak of, when they are reached and who drives.
+The arena, the objects, the robot and its controller are robosuite's, unchanged; an environment's file adds the
+achieved goal, when it is reached, the named tasks and the skill library.
 """
 
 import contextlib
@@ -20,13 +20,18 @@ from playlearn.errors import UsageError
 from playlearn.sim.environment import CameraConfig, EnvironmentConfig
 from playlearn.sim.robosuite_env import RobosuiteEnv
 
-UNFIT = ("Baxter", "PandaDexLH", "PandaDexRH")  # two arms; hands that do not take one command
+UNFIT = ("Baxter", "PandaDexLH", "PandaDexRH")  # two arms; grippers that do not take one command
 _ABOVE_GRIP = 0.097  # meters from the grip site back towards the wrist, where the wrist camera sits
 
 
 @dataclass(frozen=True)
 class View:
-    """Where the front camera stands and what it is aimed at: (3,) m each; fovy: its opening in degrees."""
+    """The front camera.
+
+    eye: (3,) m, where it stands.
+    at: (3,) m, what it is aimed at.
+    fovy: vertical field of view in degrees.
+    """
 
     eye: tuple[float, float, float]
     at: tuple[float, float, float]
@@ -35,8 +40,10 @@ class View:
 
 @dataclass(frozen=True)
 class TabletopConfig(EnvironmentConfig):
-    """robot: any single-arm robosuite robot. gripper: one of robosuite's; "default" is the robot's own.
+    """Base of the configs of robosuite's own environments.
 
+    robot: any single-arm robosuite robot.
+    gripper: one of robosuite's; "default" is the robot's own.
     cameras: name -> size of the images.
     """
 
@@ -50,13 +57,16 @@ class TabletopConfig(EnvironmentConfig):
 class TabletopEnv(RobosuiteEnv):
     """A robosuite environment behind the Environment contract; `robosuite` is that environment itself.
 
-    name: what it is registered as; options go to its constructor. view: of the front camera.
-    absent: names of objects that the scene has and the task does without; they hang far away.
-    standing: names of objects without a free joint that robosuite stands elsewhere at every reset; where they
-    stand is kept in `extra`, seven numbers each. extra: how many numbers the subclass keeps after these.
+    name: what it is registered as; `options` go to its constructor.
+    achieved_names: what `_achieved` returns.
+    view: of the front camera.
+    absent: names of objects that the scene has and the tasks do without; they hang far away.
+    standing: names of objects without a free joint that robosuite places anew at every reset; their poses are kept
+        in `extra`, seven numbers each.
+    extra: how many numbers the subclass keeps after these.
     paint: as RobosuiteEnv has it.
 
-    A subclass offers `_achieved`, `failure`, `reached` and `tasks`, and may override `_arrange`, which
+    A subclass implements `_achieved`, `failure`, `reached` and `tasks`, and may override `_arrange`, which
     places everything as robosuite itself does.
     """
 
@@ -79,7 +89,9 @@ class TabletopEnv(RobosuiteEnv):
             raise UsageError(f"robot: {config.robot!r} is not a robot with one arm; those are {', '.join(single)}")
 
         def build() -> Any:
-            with chance(np.random.default_rng(0)):  # the scene itself (the cube's size) must not differ between builds
+            with numpy_seeded_from(
+                np.random.default_rng(0)
+            ):  # the scene itself (the cube's size) must not differ between builds
                 self.robosuite = robosuite.make(
                     name,
                     robots=config.robot,
@@ -91,11 +103,11 @@ class TabletopEnv(RobosuiteEnv):
                     **options,
                 )
             _add_cameras(self.robosuite, view)
-            for thing in absent:
-                _hang(self.robosuite, thing)
+            for absent_name in absent:
+                _hang(self.robosuite, absent_name)
             return self.robosuite
 
-        bodies = [f"{thing}_main" for thing in standing]
+        bodies = [f"{standing_name}_main" for standing_name in standing]
 
         def show(model: mujoco.MjModel, kept: Array) -> None:
             _stand(model, bodies, kept)
@@ -109,7 +121,7 @@ class TabletopEnv(RobosuiteEnv):
         return self._achieved()
 
     def body(self, name: str) -> int:
-        """The index of a body."""
+        """The id of a body."""
         return int(self.model.body(name).id)
 
     def put(self, joint: str, position: Array | Sequence[float], quaternion: Array | Sequence[float]) -> None:
@@ -118,11 +130,13 @@ class TabletopEnv(RobosuiteEnv):
         self.data.qpos[start : start + 7] = [*position, *quaternion]
 
     def refresh(self) -> None:
-        """After changing a start state by hand: let it come to rest and observe it anew."""
+        """After a start state was changed from outside: let it come to rest."""
         self.settle()
 
     def step(self, action: Array) -> None:
-        _stand(self.model, self._stands, self.extra)  # another world on the same model may have stood them elsewhere
+        _stand(
+            self.model, self._stands, self.extra
+        )  # another environment on the same model may have placed them elsewhere
         super().step(action)
 
     def _refresh(self) -> None:
@@ -130,14 +144,14 @@ class TabletopEnv(RobosuiteEnv):
         super()._refresh()
 
     def _arrange(self, rng: np.random.Generator) -> None:
-        with chance(rng):
+        with numpy_seeded_from(rng):
             drawn = self.robosuite.placement_initializer.sample()
-        for position, quaternion, thing in drawn.values():
-            if thing.name in self._standing:
-                start = 7 * self._standing.index(thing.name)
+        for position, quaternion, placed in drawn.values():
+            if placed.name in self._standing:
+                start = 7 * self._standing.index(placed.name)
                 self.extra[start : start + 7] = [*position, *quaternion]
-            elif thing.name not in self._absent and thing.joints:
-                self.put(thing.joints[0], position, quaternion)
+            elif placed.name not in self._absent and placed.joints:
+                self.put(placed.joints[0], position, quaternion)
 
 
 def upright(yaw: float) -> tuple[float, float, float, float]:
@@ -146,8 +160,8 @@ def upright(yaw: float) -> tuple[float, float, float, float]:
 
 
 @contextlib.contextmanager
-def chance(rng: np.random.Generator) -> Iterator[None]:
-    """Let robosuite, which knows only numpy's global randomness, draw from `rng`; what was global is put back."""
+def numpy_seeded_from(rng: np.random.Generator) -> Iterator[None]:
+    """Let libraries that draw from numpy's global state draw from `rng`; the global state is restored."""
     before = np.random.get_state()  # noqa: NPY002
     np.random.seed(int(rng.integers(2**32)))  # noqa: NPY002
     try:
@@ -161,11 +175,11 @@ def _add_cameras(env: Any, view: View) -> None:
     back = (eye - at) / np.linalg.norm(eye - at)
     right = np.cross([0.0, 0.0, 1.0], back)
     right = right / np.linalg.norm(right)
-    front = {"pos": _words(eye), "xyaxes": _words([*right, *np.cross(back, right)]), "fovy": str(view.fovy)}
+    front = {"pos": _xml_numbers(eye), "xyaxes": _xml_numbers([*right, *np.cross(back, right)]), "fovy": str(view.fovy)}
     ElementTree.SubElement(env.model.worldbody, "camera", {"name": "front", "mode": "fixed", **front})
     site = env.robots[0].gripper["right"].important_sites["grip_site"]
     hand = env.model.worldbody.find(f".//site[@name='{site}']/..")
-    wrist = {"pos": _words([0, 0.075, -_ABOVE_GRIP]), "xyaxes": "1 0 0 0 -1 -0.30", "fovy": "70"}
+    wrist = {"pos": _xml_numbers([0, 0.075, -_ABOVE_GRIP]), "xyaxes": "1 0 0 0 -1 -0.30", "fovy": "70"}
     ElementTree.SubElement(hand, "camera", {"name": "wrist", "mode": "fixed", **wrist})
 
 
@@ -180,12 +194,12 @@ def _hang(env: Any, name: str) -> None:
 
 
 def _stand(model: mujoco.MjModel, bodies: Sequence[str], kept: Array) -> None:
-    """Stand each body where the first numbers that a world keeps say."""
+    """Place each body at its pose in the first numbers that an environment keeps."""
     for body, where in zip(bodies, kept[: 7 * len(bodies)].reshape(-1, 7), strict=True):
         if where.any():  # not before the first start
             model.body(body).pos[:] = where[:3]
             model.body(body).quat[:] = where[3:]
 
 
-def _words(numbers: Array | Sequence[float]) -> str:
+def _xml_numbers(numbers: Array | Sequence[float]) -> str:
     return " ".join(f"{number:.6g}" for number in numbers)

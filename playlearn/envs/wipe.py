@@ -3,7 +3,7 @@
 Dirt never comes back, so a goal is what is left of it. `achieved` (60,), of each of the 20 pieces that the line
 falls into, 2 cm long:
 
-    dirt0.x dirt0.y dirt0.left     meters, its middle; the share of its five marks that is left, 1 .. 0
+    dirt0.x dirt0.y dirt0.left     meters, its middle; the fraction of its five marks that is left, 1 .. 0
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from playlearn.envs.tabletop import TabletopConfig, TabletopEnv, View, chance
+from playlearn.envs.tabletop import TabletopConfig, TabletopEnv, View, numpy_seeded_from
 from playlearn.episode import Array
 from playlearn.oracles import register_skill_library
 from playlearn.oracles.end_effector import OPEN, REST_YAW, EndEffector, Style
@@ -22,11 +22,11 @@ from playlearn.oracles.skill_library import SkillOption
 from playlearn.oracles.skills import Skill, Waypoint
 from playlearn.sim.environment import EnvironmentConfig, Task
 
-MARKS, PIECES = 100, 20  # robosuite's marks, and the pieces that are told
+MARKS, PIECES = 100, 20  # robosuite's marks, and the pieces that `achieved` tells
 EACH = MARKS // PIECES
 NAMES = tuple(f"dirt{i}.{part}" for i in range(PIECES) for part in ("x", "y", "left"))
 TABLE_Z = 0.9
-TOLERANCE = 0.25  # share of a piece: one mark of five
+TOLERANCE = 0.25  # fraction of a piece: one mark of five
 _HALF, _DEEP = (0.06, 0.025), 0.02  # meters: robosuite's reach of the tool about its middle, and above its face
 _PRESSED, _HIGH, _AWAY = -0.012, 0.10, 0.25  # meters above the table at which the tool wipes, travels, and rests
 
@@ -34,7 +34,10 @@ _PRESSED, _HIGH, _AWAY = -0.012, 0.10, 0.25  # meters above the table at which t
 @EnvironmentConfig.register_subclass("wipe")
 @dataclass(frozen=True)
 class WipeConfig(TabletopConfig):
-    """wiped: share of random starts in which a part of the line is wiped already."""
+    """robosuite's Wipe.
+
+    wiped: fraction of random starts in which a part of the line is already wiped.
+    """
 
     wiped: float = 0.5
 
@@ -83,7 +86,7 @@ class WipeEnv(TabletopEnv):
 
     def _arrange(self, rng: np.random.Generator) -> None:
         arena = self.robosuite.model.mujoco_arena
-        with chance(rng):
+        with numpy_seeded_from(rng):
             place = arena.sample_start_pos()
             for i in range(MARKS):
                 self.marks[i] = place + self._table
@@ -188,7 +191,7 @@ class Rub:
 
 
 class WipeSkillLibrary:
-    """A `SkillLibrary`; see there."""
+    """The `SkillLibrary` of wiping."""
 
     idle = None  # an idle tool stays where it is
 

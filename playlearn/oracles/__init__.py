@@ -1,4 +1,4 @@
-"""Who drives: skills, unstructured play, and the expert that can be asked for an action in any state."""
+"""Scripted actors: skills, unstructured play, and the expert that can be asked for an action in any state."""
 
 from playlearn.oracles.expert import Expert, ExpertPolicy, register_expert, special_expert
 from playlearn.oracles.play_policy import PlayConfig, PlayPolicy, PlayPolicyConfig
@@ -12,7 +12,7 @@ def expert_for(environment: Environment) -> ExpertPolicy:
 
 
 def play_policy_for(environment: Environment, config: PlayPolicyConfig) -> Actor:
-    """Who plays as `config` says, in this environment."""
+    """The play policy that `config` describes, in this environment."""
     return config.build(environment)
 
 

@@ -1,4 +1,4 @@
-"""What a teleoperator sees and commands: the gripper's pose, and motions of it as actions.
+"""The end effector as skills see and command it: the gripper's pose, and motions of it as actions.
 
 The gripper points down. Its yaw is the direction of the finger axis (along which it opens): pi / 2 at
 rest, kept within a quarter turn of that because a finger axis and its opposite are the same grasp.
@@ -19,7 +19,12 @@ OPEN, CLOSE = -1.0, 1.0
 
 @dataclass(frozen=True)
 class Style:
-    """How somebody drives: speed in (0, 1], height m above things when approaching and when carrying."""
+    """How skills are carried out.
+
+    speed: fraction of full speed, in (0, 1].
+    approach: meters above an object at which the end effector arrives.
+    carry: meters at which an object is carried.
+    """
 
     speed: float = 1.0
     approach: float = 0.07
@@ -28,9 +33,12 @@ class Style:
 
 @dataclass(frozen=True, eq=False)
 class EndEffector:
-    """position (3,) m, rotation (3, 3), opening m between the finger pads.
+    """Pose and opening of the gripper.
 
-    natural: the yaw in rad in the middle of what the wrist can turn, which is where the arm points across.
+    position: (3,) m.
+    rotation: (3, 3).
+    opening: meters between the finger pads.
+    natural: yaw in rad in the middle of the wrist's range: across the direction in which the arm points.
     """
 
     position: Array

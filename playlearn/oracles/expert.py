@@ -1,4 +1,4 @@
-"""The expert: asked for an action in any state, it does what its driver's skills do there."""
+"""The expert: asked for an action in any state, it does what its skill library does there."""
 
 from collections.abc import Callable, Sequence
 from typing import Protocol
@@ -12,7 +12,7 @@ from playlearn.sim.environment import Actor, Environment
 
 
 class ExpertPolicy(Actor, Protocol):
-    """An actor that can be asked in any state, and remembers nothing but its goals."""
+    """An actor that can be asked in any state; its only memory is its goals."""
 
     def decide(self, seen: Observation, goal: Array) -> Decision:
         """What to do in this state towards goal (G,)."""
@@ -23,7 +23,7 @@ _EXPERTS: dict[str, Callable[[Environment], ExpertPolicy]] = {}
 
 
 def register_expert(kind: str, make: Callable[[Environment], ExpertPolicy]) -> None:
-    """Say who is the expert where no `SkillLibrary` is, in environments whose config is registered as `kind`."""
+    """Register the expert of environments that have no `SkillLibrary`, by the `type` of their config."""
     _EXPERTS[kind] = make
 
 
@@ -35,7 +35,7 @@ def special_expert(environment: Environment) -> ExpertPolicy | None:
 
 
 class Expert:
-    """An Actor that remembers nothing but its goals; the reference row of every evaluation."""
+    """An Actor whose only memory is its goals; the reference row of every evaluation."""
 
     name = "expert"
     cameras: tuple[str, ...] = ()

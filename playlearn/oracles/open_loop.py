@@ -1,14 +1,15 @@
-"""A skill as one plan: looked at once, then followed by the feel of one's own hand alone.
+"""A skill as one plan: objects are looked at once, then the plan is tracked by the end effector's own pose alone.
 
-The player that this makes is not Markov, as people are not: what it does next depends on where things were when
-it began. After the `plan` oracles of OGBench (Park et al., 2024, arXiv:2410.20092), whose trajectories are drawn
-through waypoints once, with smooth noise, and then tracked.
+Play by plans is not Markov, as people are not: what it does next depends on where objects were when it began.
+After the `plan` oracles of OGBench (Park et al., 2024, arXiv:2410.20092), whose trajectories are drawn through
+waypoints once, with smooth noise, and then tracked.
 
-Between two waypoints the hand moves with minimum jerk (Flash and Hogan, 1985): of a leg from p to q, at u in [0, 1],
+Between two waypoints the end effector moves with minimum jerk (Flash and Hogan, 1985): of a leg from p to q, at u in
+[0, 1],
 
     p + (q - p) s + b_1 sin(pi s) + b_2 sin(2 pi s),    s = 10 u^3 - 15 u^4 + 6 u^5
 
-with a bow b that vanishes at both ends: plans differ in how they go, not in where they grasp and let go.
+with path noise b that vanishes at both ends: plans differ in their path, not in where they grasp and let go.
 Fingers open as they leave a waypoint and close when they have reached the next.
 """
 
@@ -26,13 +27,13 @@ PEAK = 1.875  # a minimum-jerk motion's highest speed over its mean
 FASTEST, TURNING = 0.0125, 0.05  # meters and radians in a step that a full action brings about
 _AHEAD = 4  # steps by which the arm lags behind a target that moves
 _NEAR, _NEAR_YAW = 0.008, 0.12  # meters and radians within which a waypoint is reached
-_LATE = 10  # steps for which a hand that is late is waited for, where the plan stops anyway
+_LATE = 10  # steps for which a late end effector is waited for, where the plan stops anyway
 _EMPTY = 0.004  # meters between the fingers, below which they hold nothing
 
 
 @dataclass(frozen=True, eq=False)
 class _Leg:
-    """The way from one waypoint to the next, in `steps` steps. bow: (2, 3) m."""
+    """The path from one waypoint to the next, in `steps` steps. path_noise: (2, 3) m, b_1 and b_2."""
 
     begin: Waypoint
     end: Waypoint
@@ -40,7 +41,7 @@ class _Leg:
     path_noise: Array
 
     def at(self, step: float) -> tuple[Array, float]:
-        """Place (3,) and yaw so many steps after its beginning."""
+        """Position (3,) m and yaw in rad at a step after its beginning."""
         u = min(1.0, step / self.steps)
         s = u**3 * (10 - 15 * u + 6 * u**2)
         here, there = np.array(self.begin.position), np.array(self.end.position)
@@ -53,9 +54,9 @@ class _Leg:
 
 
 class Plan:
-    """A plan that is being followed: `act` says what to do now, `advance` that it was done.
+    """A plan that is being followed: `act` gives the action of this step, `advance` goes to the next.
 
-    bow: spread of the smooth noise on every leg, as a share of its length; downwards there is none.
+    path_noise: std of the smooth noise on every leg, as a fraction of its length; downwards there is none.
     """
 
     def __init__(
@@ -77,18 +78,18 @@ class Plan:
 
     @property
     def steps(self) -> int:
-        """About how many are left."""
+        """About how many steps are left."""
         return sum(leg.steps + leg.end.wait for leg in self._legs) - self._step
 
     def act(self, hand: EndEffector) -> Array:
-        """(A,) the action that follows the plan; of the world it needs the hand alone."""
+        """(A,) the action that follows the plan; it depends on the end effector alone, not on objects."""
         leg = self._legs[0]
         place, yaw = leg.at(self._step + _AHEAD)
         arrived = self._waited > 0
         return hand.move(place, yaw, leg.end.grip if arrived else min(leg.begin.grip, leg.end.grip))
 
     def advance(self, hand: EndEffector) -> None:
-        """A step was made. Fingers that close on nothing are felt: the plan is given up."""
+        """A step was executed. Where the fingers have closed on nothing the plan is given up."""
         leg = self._legs[0]
         self._step += 1
         passed = leg.end.wait == 0 or leg.reached(hand) or self._step >= leg.steps + _LATE

@@ -1,14 +1,14 @@
 """Unstructured play: skills chained at random, with the mistakes that make it worth learning from.
 
-What is executed may carry noise, a pause or a mistake; the label beside it (`Decision.label`) is what the same
-driver, at that very state, meant to do:
+What is executed may carry noise, a pause or a mistake (`playlearn.oracles.perturbations`); the label beside it
+(`Decision.label`) is what the same skill, at that very state, meant to do:
 
-- Noise on the action is not meant: executed noisy, labeled clean (DART, Laskey et al., 2017; here it drifts).
-- A pause, a slip and a place misjudged are not meant: the label is what a driver who looks would do.
+- Noise on the action is not meant: executed noisy, labeled clean (DART, Laskey et al., 2017; here it is AR(1)).
+- A pause, a slip and a misjudged position are not meant: the label is the closed-loop action at the true state.
 - A plan is meant, its smooth noise too: the label is the clean action that follows the plan.
 
-The annotation of a step is its skill's name and what else can be said of it (`playlearn.episode.annotation`):
-`planned`, `pause`, `mistake`, `slip`; `gave_up` at the last step of a skill that is left without its outcome, and
+The annotation of a step is its skill's name and what else holds of it (`playlearn.episode.annotation`):
+`open_loop`, `pause`, `mistake`, `slip`; `gave_up` at the last step of a skill that is left without its outcome, and
 `again` at the first step of one that comes twice running.
 """
 
@@ -22,52 +22,62 @@ import numpy as np
 from playlearn.config import nearest
 from playlearn.episode import Array, Decision, Goal, Observation, annotation
 from playlearn.errors import UsageError
-from playlearn.oracles.end_effector import OPEN, EndEffector, Style
-from playlearn.oracles.open_loop import Plan
+from playlearn.oracles.end_effector import EndEffector, Style
+from playlearn.oracles.perturbations import (
+    GiveUp,
+    HoldOutcome,
+    Misjudgment,
+    MotionNoise,
+    OpenLoop,
+    Pause,
+    Perturbation,
+    SkillExecution,
+    Slip,
+    happens,
+)
 from playlearn.oracles.skill_library import SkillLibrary, SkillOption, pick, skill_library_for
 from playlearn.oracles.skills import Reach, Skill
 from playlearn.sim.environment import Actor, Environment
 
-_PATIENCE = 170  # steps of looking and correcting after which a skill is given up
-_GIVING_UP = (10, 60)  # steps into it at which a skill is dropped on purpose
-_KEEP = (14, 24)  # steps for which an outcome that does not last, such as a lift, is held
-_OFFSET_STEPS = (25, 45)  # how long a misjudged place is believed in, where it is looked at
-_UNTIL_SLIP = (3, 15)  # steps after the grasp
-_SLIP_STEPS = 9
-
 
 @dataclass(frozen=True)
 class PlayPolicyConfig(draccus.ChoiceRegistry):
-    """Who plays, and how: the base of every player's config; `type:` in a YAML picks the kind."""
+    """Base of every play policy's config; `type:` in a YAML picks the kind."""
 
     @classmethod
     def default_choice_name(cls) -> str:
         return "skills"
 
     def build(self, environment: Environment) -> Actor:
-        """Raises UsageError where this kind cannot play there, or is asked for what nobody offers there."""
+        """Raises UsageError where this kind cannot play there, or weighs a kind of skill that is not offered there."""
         raise NotImplementedError
 
     def noisier(self, noise: float) -> Self:
-        """The same with at least so much noise on what is executed."""
+        """The same config with at least this much noise on what is executed."""
         raise NotImplementedError
 
 
 @PlayPolicyConfig.register_subclass("skills")
 @dataclass(frozen=True)
 class PlayConfig(PlayPolicyConfig):
-    """How somebody plays; `configs/collect/{clean,human,noisy}.yaml` are three characters.
+    """How play behaves; `configs/collect/{clean,human,noisy}.yaml` are three characters.
 
-    weights: how often each kind of skill is tried, where it can be; what is not named here keeps the weight
-        that its driver gives it.
-    speed, approach, carry: ranges of the driver's style, drawn anew for every skill (share of full speed; meters).
-    planned: share of skills that are planned once and followed without looking (`playlearn.oracles.open_loop`); the
-        others look at every step, and so does every correction. bow: spread of the smooth noise on a plan, as a
-        share of the way.
-    noise, drift: spread of the noise on the executed motion and its AR(1) memory.
-    pause: share of skills before which the hand stands still, for `pause_steps` steps (from, below).
-    aimless: share of skills that only move the empty hand. mistake: share that begin at a misjudged place.
-    slip: share in which what is carried is let go on the way. give_up: share dropped halfway, for no reason.
+    weights: how often each kind of skill is tried, where it is possible; a kind that is not named keeps the weight of
+        its `SkillOption`.
+    speed: range, as a fraction of full speed; drawn anew for every skill, as are `approach` and `carry`.
+    approach: range in meters above an object at which the end effector arrives.
+    carry: range in meters at which an object is carried.
+    open_loop: probability that a skill is planned once and followed without looking
+        (`playlearn.oracles.open_loop`); all others are closed-loop, and so is every correction.
+    path_noise: std of the smooth noise on a plan, as a fraction of the way.
+    noise: std of the noise on the executed motion.
+    noise_autocorrelation: of that noise from one step to the next, AR(1).
+    pause: probability that the end effector stands still before a skill.
+    pause_steps: range [from, below) of steps for which it does.
+    idle: probability of only moving the empty gripper instead of a skill.
+    mistake: probability that a skill begins at a misjudged position.
+    slip: probability that what is carried is let go on the way.
+    give_up: probability that a skill is dropped halfway, for no reason.
     """
 
     weights: dict[str, float] = field(default_factory=dict)
@@ -88,7 +98,7 @@ class PlayConfig(PlayPolicyConfig):
     def __post_init__(self) -> None:
         for name in ("open_loop", "pause", "idle", "mistake", "slip", "give_up"):
             if not 0 <= getattr(self, name) <= 1:
-                raise UsageError(f"{name} is a share between 0 and 1, got {getattr(self, name)}")
+                raise UsageError(f"{name} is a probability between 0 and 1, got {getattr(self, name)}")
         for name in ("speed", "approach", "carry", "pause_steps"):
             low, high = getattr(self, name)
             if not 0 < low <= high:
@@ -110,7 +120,7 @@ class PlayConfig(PlayPolicyConfig):
         return replace(self, noise=max(noise, self.noise))
 
     def check(self, options: Sequence[SkillOption]) -> None:
-        """Raises UsageError where `weights` names a kind that nobody offers, or leaves nothing to do."""
+        """Raises UsageError where `weights` names a kind that is not offered, or leaves nothing to do."""
         kinds = sorted({option.kind for option in options})
         for kind in self.weights:
             if kind not in kinds:
@@ -120,10 +130,10 @@ class PlayConfig(PlayPolicyConfig):
 
 
 class PlayPolicy:
-    """An Actor without goals: it makes its own, one after the other, for as long as it is asked.
+    """An Actor without goals: it draws its own, one after the other, for as long as it is asked.
 
     Raises:
-        UsageError: the config weighs a kind of skill that this driver does not have.
+        UsageError: the config weighs a kind of skill that this skill library does not have.
     """
 
     name = "player"
@@ -133,132 +143,73 @@ class PlayPolicy:
         self._skill_library, self._config = skill_library, config
         self._options = skill_library.options()
         config.check(self._options)
-        self._hands: list[_Playing] = []
+        self._rows: list[_EnvironmentPlay] = []
 
     def reset(self, goals: Sequence[Goal | None], seeds: Sequence[int]) -> None:
-        self._hands = [
-            _Playing(self._config, self._skill_library, self._options, np.random.default_rng(seed)) for seed in seeds
+        self._rows = [
+            _EnvironmentPlay(self._config, self._skill_library, self._options, np.random.default_rng(seed))
+            for seed in seeds
         ]
 
     def act(self, observations: Sequence[Observation], active: Sequence[bool]) -> Sequence[Decision]:
         nothing = Decision(np.zeros(7))
         return [
-            playing.act(seen) if running else nothing
-            for playing, seen, running in zip(self._hands, observations, active, strict=True)
+            row.act(observation) if running else nothing
+            for row, observation, running in zip(self._rows, observations, active, strict=True)
         ]
 
 
-@dataclass
-class _Playing:
-    """One player in one world: what it is doing now, and for how long still."""
+class _EnvironmentPlay:
+    """Play in one environment: the skill that is being carried out, and its perturbations."""
 
-    config: PlayConfig
-    skill_library: SkillLibrary
-    options: Sequence[SkillOption]
-    rng: np.random.Generator
-    skill: Skill | None = None
-    plan: Plan | None = None
-    style: Style = field(default_factory=Style)
-    left: int = 0
-    pausing: int = 0
-    keeping: int = 0
-    offset: Array = field(default_factory=lambda: np.zeros(3))
-    misjudged: int = 0
-    until_slip: int | None = None
-    slipping: int = 0
-    noise: Array = field(default_factory=lambda: np.zeros(6))
+    def __init__(
+        self,
+        config: PlayConfig,
+        skill_library: SkillLibrary,
+        options: Sequence[SkillOption],
+        rng: np.random.Generator,
+    ) -> None:
+        self._config, self._skill_library, self._options, self._rng = config, skill_library, options, rng
+        self._execution: SkillExecution | None = None
+        pause, hold = Pause(config.pause, config.pause_steps), HoldOutcome()
+        mistake, slip = Misjudgment(config.mistake), Slip(config.slip, skill_library.holding)
+        open_loop, give_up = OpenLoop(config.open_loop, config.path_noise), GiveUp(config.give_up)
+        noise = MotionNoise(config.noise, config.noise_autocorrelation)
+        # A seed's play depends on the order of the draws, and each step on the order of the changes.
+        self._draw_order: tuple[Perturbation, ...] = (pause, hold, mistake, slip, open_loop, give_up)
+        self._step_order: tuple[Perturbation, ...] = (open_loop, mistake, noise, slip, pause)
 
-    def act(self, seen: Observation) -> Decision:
-        hand, achieved = EndEffector.seen(seen), seen.achieved
-        skill, marks = self.skill, []
-        if skill is None or self._over(skill, hand, achieved):
-            before, skill = skill, self._begin(hand, achieved)
-            marks = ["again"] if before is not None and before.name == skill.name else []
-        self.left -= 1
-        return self._decide(skill, hand, achieved, marks)
+    def act(self, observation: Observation) -> Decision:
+        hand, achieved = EndEffector.seen(observation), observation.achieved
+        execution, again = self._execution, False
+        if execution is None or execution.over(hand, achieved):
+            before, execution = execution, self._begin(hand, achieved)
+            again = before is not None and before.skill.name == execution.skill.name
+        step = execution.step(hand, achieved)
+        if again:
+            step.marks.append("again")
+        for perturbation in self._step_order:
+            perturbation.apply(step, execution, self._rng)
+        execution.advance(step)
+        if execution.steps_left <= 0:
+            step.marks.append("gave_up")
+        return Decision(step.action.clip(-1, 1), step.label, annotation(execution.skill.name, step.marks))
 
-    def _over(self, skill: Skill, hand: EndEffector, achieved: Array) -> bool:
-        if self.left <= 0:
-            return True
-        if self.plan is not None or not skill.done(hand, achieved):
-            return False
-        self.keeping -= 1
-        return self.keeping <= 0
+    def _begin(self, hand: EndEffector, achieved: Array) -> SkillExecution:
+        config, rng = self._config, self._rng
+        style = Style(rng.uniform(*config.speed), rng.uniform(*config.approach), rng.uniform(*config.carry))
+        execution = self._execution = SkillExecution(self._next_skill(hand, achieved), style, hand, achieved)
+        for perturbation in self._draw_order:
+            perturbation.begin(execution, rng)
+        return execution
 
-    def _begin(self, hand: EndEffector, achieved: Array) -> Skill:
-        config, rng = self.config, self.rng
-        self.style = Style(rng.uniform(*config.speed), rng.uniform(*config.approach), rng.uniform(*config.carry))
-        skill = self.skill = self._next(hand, achieved)
-        self.pausing = int(rng.integers(*config.pause_steps)) if self._happens(config.pause) else 0
-        self.keeping = 0 if skill.lasting else int(rng.integers(*_KEEP))
-        self.misjudged = int(rng.integers(*_OFFSET_STEPS)) if self._happens(config.mistake) else 0
-        angle = rng.uniform(-np.pi, np.pi)
-        self.offset = rng.uniform(0.03, 0.055) * np.array([np.cos(angle), np.sin(angle), 0.0])
-        self.until_slip = int(rng.integers(*_UNTIL_SLIP)) if self._happens(config.slip) else None
-        self.slipping = 0
-        self.plan, self.left = None, _PATIENCE + 1
-        stops = skill.plan(hand, achieved, self.style) if self._happens(config.open_loop) else ()
-        if stops:
-            self.plan = Plan(stops, hand, self.style, config.path_noise, rng)
-            self.left += self.plan.steps
-        if self._happens(config.give_up):
-            self.left = self.pausing + int(rng.integers(*_GIVING_UP))
-        return skill
-
-    def _happens(self, share: float) -> bool:
-        return share > 0 and bool(self.rng.random() < share)
-
-    def _next(self, hand: EndEffector, achieved: Array) -> Skill:
-        if self.skill_library.holding(hand, achieved):
-            return self.skill_library.put_down(hand, achieved, self.rng)
-        if self._happens(self.config.idle) and self.skill_library.idle is not None:
-            x, y, z = self.rng.uniform(*self.skill_library.idle)
+    def _next_skill(self, hand: EndEffector, achieved: Array) -> Skill:
+        library, rng = self._skill_library, self._rng
+        if library.holding(hand, achieved):
+            return library.put_down(hand, achieved, rng)
+        if happens(self._config.idle, rng) and library.idle is not None:
+            x, y, z = rng.uniform(*library.idle)
             return Reach("idle", (x, y, z))
-        option = pick(self.options, self.config.weights, achieved, self.rng)
-        skill = None if option is None else option.skill(hand, achieved, self.rng)
-        return skill or self.skill_library.towards(hand, achieved, achieved)  # nowhere to go: step back
-
-    def _decide(self, skill: Skill, hand: EndEffector, achieved: Array, marks: list[str]) -> Decision:
-        """What to do now, what was meant, and what to call it."""
-        config, rng, plan = self.config, self.rng, self.plan
-        looking = skill.act(hand, achieved, self.style)
-        label = looking if plan is None or self.misjudged > 0 else plan.act(hand)
-        if plan is not None:
-            marks.append("open_loop")
-        spread = config.noise * np.array([1, 1, 0.6, 0.15, 0.15, 0.5])
-        self.noise = config.noise_autocorrelation * self.noise + np.sqrt(
-            1 - config.noise_autocorrelation**2
-        ) * spread * rng.standard_normal(6)
-        action = label.copy()
-        if self.misjudged > 0:  # acts as if everything stood `offset` away from where it is
-            self.misjudged -= int(plan is None)  # a plan is believed in to its end
-            marks.append("mistake")
-            believed = EndEffector(hand.position - self.offset, hand.rotation, hand.opening)
-            action = skill.act(believed, achieved, self.style) if plan is None else plan.act(believed)
-        if self.until_slip is not None and self.skill_library.holding(hand, achieved):
-            self.until_slip -= 1
-            if self.until_slip < 0:
-                self.until_slip, self.slipping, self.plan = None, _SLIP_STEPS, None
-        # People tremble less where they go slowly and look closely.
-        action[:6] += self.noise * (0.2 + 0.8 * min(1.0, float(np.linalg.norm(label[:3]))))
-        if self.slipping > 0:
-            self.slipping -= 1
-            marks.append("slip")
-            label, action[-1] = looking, OPEN
-        if self.pausing > 0:
-            self.pausing -= 1
-            marks.append("pause")
-            action[:6] = 0.0
-        elif plan is not None and self.slipping == 0:
-            self._follow(plan, hand)
-        if self.left <= 0:
-            marks.append("gave_up")
-        return Decision(action.clip(-1, 1), label, annotation(skill.name, marks))
-
-    def _follow(self, plan: Plan, hand: EndEffector) -> None:
-        """A step of the plan was made; at its end the player looks again."""
-        plan.advance(
-            hand if self.misjudged == 0 else EndEffector(hand.position - self.offset, hand.rotation, hand.opening)
-        )
-        if plan.over:
-            self.plan, self.misjudged = None, 0
+        option = pick(self._options, self._config.weights, achieved, rng)
+        skill = None if option is None else option.skill(hand, achieved, rng)
+        return skill or library.towards(hand, achieved, achieved)  # nothing is possible: step back

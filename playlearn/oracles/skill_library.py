@@ -1,4 +1,4 @@
-"""What a task's file says about driving it: what play may try there, and which skill serves a goal."""
+"""What an environment's file says of acting in it: what play may try there, and which skill serves a goal."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,11 +15,13 @@ from playlearn.sim.environment import Environment
 
 @dataclass(frozen=True)
 class SkillOption:
-    """Something that play may try. kind: what `PlayConfig.weights` calls it.
+    """Something that play may try.
 
-    weight: how often it is tried beside the others, where the config does not say. possible: (achieved) -> bool.
-    skill: (hand, achieved, rng) -> how it is brought about, with a goal drawn at random; None where there turns
-    out to be no room for it.
+    name: the annotation that is recorded.
+    kind: its name in `PlayConfig.weights`.
+    possible: (achieved) -> bool.
+    skill: (hand, achieved, rng) -> the skill, with a goal drawn at random; None where there is no room for it.
+    weight: how often it is tried beside the others, where the config does not say.
     """
 
     name: str
@@ -30,9 +32,9 @@ class SkillOption:
 
 
 class SkillLibrary(Protocol):
-    """How to drive one kind of environment. Everything it decides follows from what it is given: it is Markov.
+    """The skills of one kind of environment. Its decisions depend on its arguments alone: it is Markov.
 
-    idle: the box ((3,), (3,)) m in which an idle hand wanders, where it does.
+    idle: the box ((3,), (3,)) m in which the empty gripper wanders; None where it does not.
     """
 
     @property
@@ -41,42 +43,42 @@ class SkillLibrary(Protocol):
     def options(self) -> Sequence[SkillOption]: ...
 
     def holding(self, hand: EndEffector, achieved: Array) -> bool:
-        """Whether the hand has hold of something that it could drop."""
+        """Whether the gripper holds something that it could drop."""
         ...
 
     def put_down(self, hand: EndEffector, achieved: Array, rng: np.random.Generator) -> Skill:
-        """A place for what is in the hand."""
+        """A skill that puts down somewhere what the gripper holds."""
         ...
 
     def towards(self, hand: EndEffector, achieved: Array, goal: Array) -> Skill:
-        """What to do now to bring `achieved` (G,) to `goal` (G,)."""
+        """The skill that now leads from `achieved` (G,) towards `goal` (G,)."""
         ...
 
 
-_DRIVERS: dict[str, Callable[[Environment], SkillLibrary]] = {}
+_SKILL_LIBRARIES: dict[str, Callable[[Environment], SkillLibrary]] = {}
 
 
 def register_skill_library(kind: str, make: Callable[[Environment], SkillLibrary]) -> None:
-    """Say who drives the environments whose config is registered as `kind`."""
-    _DRIVERS[kind] = make
+    """Register the skill library of environments whose config has this `type`."""
+    _SKILL_LIBRARIES[kind] = make
 
 
 def skill_library_for(environment: Environment) -> SkillLibrary:
-    """Raises UsageError where nobody can drive this kind of environment."""
+    """Raises UsageError where this kind of environment has no skill library."""
     config = environment.config
     kind = str(config.get_choice_name(type(config)))
-    if kind not in _DRIVERS:
-        raise UsageError(f"nobody can drive {kind!r} yet; there are drivers for {', '.join(sorted(_DRIVERS))}")
-    return _DRIVERS[kind](environment)
+    if kind not in _SKILL_LIBRARIES:
+        raise UsageError(f"{kind!r} has no skill library; {', '.join(sorted(_SKILL_LIBRARIES))} have one")
+    return _SKILL_LIBRARIES[kind](environment)
 
 
 def pick(
     options: Sequence[SkillOption], weights: Mapping[str, float], achieved: Array, rng: np.random.Generator
 ) -> SkillOption | None:
-    """One of the ideas that are possible now, or None. weights: of kinds; what it does not name keeps its own."""
-    open_to = [(option, weights.get(option.kind, option.weight)) for option in options if option.possible(achieved)]
-    open_to = [(option, weight) for option, weight in open_to if weight > 0]
-    if not open_to:
+    """One of the options that are possible now, or None. weights: of kinds; a kind not named keeps its own."""
+    weighted = [(option, weights.get(option.kind, option.weight)) for option in options if option.possible(achieved)]
+    weighted = [(option, weight) for option, weight in weighted if weight > 0]
+    if not weighted:
         return None
-    share = np.array([weight for _, weight in open_to])
-    return open_to[int(rng.choice(len(open_to), p=share / share.sum()))][0]
+    p = np.array([weight for _, weight in weighted])
+    return weighted[int(rng.choice(len(weighted), p=p / p.sum()))][0]

@@ -1,7 +1,7 @@
-"""Closed-loop skills: each is a function of what is seen now and of what it is to bring about.
+"""Closed-loop skills: each is a function of the present observation and of its own goal.
 
-None remembers anything, so each can take over from any state, and after a slip or a miss it simply
-does what that state asks for. `act` gives the action, `done` says whether its outcome is there.
+None has a memory, so each can take over from any state, and recovers from a slip or a miss.
+`act` gives the action, `done` whether the outcome is there.
 """
 
 from collections.abc import Sequence
@@ -13,12 +13,18 @@ import numpy as np
 from playlearn.episode import Array
 from playlearn.oracles.end_effector import CLOSE, OPEN, REST_YAW, EndEffector, Style
 
-NEAR, NEAR_HEIGHT, NEAR_YAW = 0.025, 0.012, 0.25  # meters and radians within which a thing is where it should be
+NEAR, NEAR_HEIGHT, NEAR_YAW = 0.025, 0.012, 0.25  # meters and radians within which an object is where it should be
 
 
 @dataclass(frozen=True)
 class Waypoint:
-    """A stop of a plan: hand at position (3,) m with its fingers along `yaw` rad and `grip`, then `wait` steps."""
+    """A stop of a plan.
+
+    position: (3,) m of the end effector.
+    yaw: of its finger axis, rad.
+    grip: command of the gripper, OPEN or CLOSE.
+    wait: steps for which it stays there.
+    """
 
     position: tuple[float, float, float]
     yaw: float
@@ -27,9 +33,10 @@ class Waypoint:
 
 
 class Skill(Protocol):
-    """One thing a teleoperator does. name: the annotation that is recorded.
+    """One target_object that play or the expert does.
 
-    lasting: its outcome stays by itself, as that of a lift does not.
+    name: the annotation that is recorded.
+    lasting: whether its outcome stays by itself, as that of a lift does not.
     """
 
     @property
@@ -43,12 +50,12 @@ class Skill(Protocol):
     def done(self, hand: EndEffector, achieved: Array) -> bool: ...
 
     def plan(self, hand: EndEffector, achieved: Array, style: Style) -> Sequence[Waypoint]:
-        """The same as a plan made once, for a player who then follows it without looking; () where that cannot be."""
+        """The same as an open-loop plan; () where there can be none."""
         ...
 
 
 class GraspableObject(Protocol):
-    """Something that a hand can take, carry and put down, read off `achieved`."""
+    """Something that a gripper can take, carry and put down, read off `achieved`."""
 
     @property
     def symmetry(self) -> float:
@@ -78,15 +85,19 @@ class GraspableObject(Protocol):
 
 @dataclass(frozen=True)
 class Carry:
-    """Grasp a thing, bring its center to `position` (3,) m and turn it to `yaw` rad; let go there, or hold it.
+    """Grasp an object, bring its center to `position` and turn it to `yaw`; let go there, or hold it.
 
-    drop: height in meters above `position` at which it is let go. room: meters that the fingers must be open
-    before they go down around it; half closed they would press on its top, and friction would keep them so. slack:
-    meters beside the grip within which they still go down around it.
+    position: (3,) m.
+    yaw: rad.
+    lasting: whether it is let go.
+    drop: meters above `position` at which it is let go.
+    room: meters that the fingers must be open before they go down around it; half closed they would press on its
+        top, and friction would keep them so.
+    slack: meters beside the grip within which they still go down around it.
     """
 
     name: str
-    thing: GraspableObject
+    target_object: GraspableObject
     position: tuple[float, float, float]
     yaw: float
     lasting: bool = True
@@ -95,52 +106,52 @@ class Carry:
     slack: float = 0.008
 
     def act(self, hand: EndEffector, achieved: Array, style: Style) -> Array:
-        if self.thing.held(hand, achieved):
+        if self.target_object.held(hand, achieved):
             return self._bring(hand, achieved, style)
         if self.lasting and self._there(achieved):
             return self._leave(hand, achieved, style)
         return self._fetch(hand, achieved, style)
 
     def done(self, hand: EndEffector, achieved: Array) -> bool:
-        held = self.thing.held(hand, achieved)
+        held = self.target_object.held(hand, achieved)
         if not self.lasting:
-            return held and abs(self.thing.position(achieved)[2] - self.position[2]) < 0.015
+            return held and abs(self.target_object.position(achieved)[2] - self.position[2]) < 0.015
         return self._there(achieved) and not held and hand.position[2] > self.position[2] + 0.06
 
     def plan(self, hand: EndEffector, achieved: Array, style: Style) -> Sequence[Waypoint]:
-        grip, yaw = self.thing.grasp(hand, achieved)
-        target = np.array(self.position) + grip - self.thing.position(achieved) + up(self.drop)
+        grip, yaw = self.target_object.grasp(hand, achieved)
+        target = np.array(self.position) + grip - self.target_object.position(achieved) + up(self.drop)
         turned = yaw + self._turn(achieved)
-        away = target + up(self.thing.clearance(target, style.carry))
+        away = target + up(self.target_object.clearance(target, style.carry))
         taking = (
-            waypoint(grip + up(self.thing.clearance(grip, style.approach)), yaw, OPEN),
+            waypoint(grip + up(self.target_object.clearance(grip, style.approach)), yaw, OPEN),
             waypoint(grip, yaw, OPEN, wait=1),
             waypoint(grip, yaw, CLOSE, wait=5),
         )
         bringing = (
-            waypoint(grip + up(self.thing.clearance(grip, style.carry)), yaw, CLOSE),
+            waypoint(grip + up(self.target_object.clearance(grip, style.carry)), yaw, CLOSE),
             waypoint(away, turned, CLOSE),
             waypoint(target, turned, CLOSE, wait=2),
         )
         leaving = (waypoint(target, turned, OPEN, wait=4), waypoint(away, turned, OPEN))
-        held = self.thing.held(hand, achieved)
+        held = self.target_object.held(hand, achieved)
         return (*(() if held else taking), *bringing, *(leaving if self.lasting else ()))
 
     def _there(self, achieved: Array) -> bool:
-        off = self.thing.position(achieved) - self.position
+        off = self.target_object.position(achieved) - self.position
         near = np.hypot(*off[:2]) < NEAR and abs(off[2]) < NEAR_HEIGHT
         return bool(near and abs(self._turn(achieved)) < NEAR_YAW)
 
     def _turn(self, achieved: Array) -> float:
         """How far it still has to be turned, rad."""
-        return turn(self.thing.yaw(achieved), self.yaw, self.thing.symmetry)
+        return turn(self.target_object.yaw(achieved), self.yaw, self.target_object.symmetry)
 
     def _fetch(self, hand: EndEffector, achieved: Array, style: Style) -> Array:
-        grip, wanted = self.thing.grasp(hand, achieved)
+        grip, wanted = self.target_object.grasp(hand, achieved)
         off = np.hypot(*(hand.position - grip)[:2])
         turning = hand.yaw_error(wanted)
         rise = 0.032 * max(0.0, off / self.slack - 1) + 0.15 * max(0.0, turning - 0.12)
-        above = min(self.thing.clearance(grip, style.approach), rise)
+        above = min(self.target_object.clearance(grip, style.approach), rise)
         if hand.opening < self.room and hand.position[2] > grip[2] + 0.02:
             above = max(above, 0.06)
         down = abs(hand.position[2] - grip[2]) < 0.012 and off < 0.014 and turning < 0.22
@@ -150,10 +161,10 @@ class Carry:
         return hand.move(at_height, wanted, CLOSE if down else OPEN, style.speed)
 
     def _bring(self, hand: EndEffector, achieved: Array, style: Style) -> Array:
-        here, target = self.thing.position(achieved), np.array(self.position)
+        here, target = self.target_object.position(achieved), np.array(self.position)
         goal = target + up(self.drop)
         off, turning = np.hypot(*(goal - here)[:2]), self._turn(achieved)
-        high = max(self.thing.clearance(target, style.carry), self.thing.clearance(here, style.carry))
+        high = max(self.target_object.clearance(target, style.carry), self.target_object.clearance(here, style.carry))
         above = min(high, 4.0 * max(0.0, off - 0.008) + 0.10 * max(0.0, abs(turning) - 0.15))
         placed = off < 0.014 and abs(turning) < 0.18 and abs(here[2] - goal[2]) < 0.009
         yaw = hand.yaw + turning
@@ -166,18 +177,22 @@ class Carry:
 
     def _leave(self, hand: EndEffector, achieved: Array, style: Style) -> Array:
         away = hand.position + up(0.08 if hand.opening > 0.05 else 0.0)
-        thing = self.thing.grasp(hand, achieved)[0][:2]
-        if np.hypot(*(thing - hand.position[:2])) < 0.03:  # straight up, whereto the arm may drift
-            away[:2] = thing
+        grip = self.target_object.grasp(hand, achieved)[0][:2]
+        if np.hypot(*(grip - hand.position[:2])) < 0.03:  # straight up, wherever the arm may drift
+            away[:2] = grip
         return hand.move(away, hand.yaw, OPEN, style.speed)
 
 
 @dataclass(frozen=True)
 class Push:
-    """Push a thing along what it lies on, to `position` (3,) m, with closed fingers turned across the way."""
+    """Push an object along what it lies on, with closed fingers turned across the way.
+
+    position: (3,) m, its goal.
+    behind: meters behind its center at which the fingers come down.
+    """
 
     name: str
-    thing: GraspableObject
+    target_object: GraspableObject
     position: tuple[float, float, float]
     lasting: bool = True
     behind: float = 0.062
@@ -210,8 +225,8 @@ class Push:
         return tuple(waypoint(place, yaw, CLOSE) for place in stops)
 
     def _course(self, achieved: Array) -> tuple[Array, Array, float, float]:
-        """Where the thing is (3,), the way to its goal (2,), how far that is in m, and the fingers' yaw in rad."""
-        here = self.thing.position(achieved)
+        """The object's position (3,) m, the direction (2,) and distance in m to its goal, the fingers' yaw in rad."""
+        here = self.target_object.position(achieved)
         away = np.array(self.position[:2]) - here[:2]
         left = float(np.linalg.norm(away))
         return here, away / max(left, 1e-6), left, float(np.arctan2(away[1], away[0]) + np.pi / 2)
@@ -219,7 +234,7 @@ class Push:
 
 @dataclass(frozen=True)
 class Reach:
-    """Move the empty gripper to `position` (3,) m, aimlessly as people do between two ideas."""
+    """Move the empty gripper to `position` (3,) m, without purpose, as people do between two skills."""
 
     name: str
     position: tuple[float, float, float]
@@ -244,17 +259,22 @@ def _sidling(here: Array, there: Array) -> Array:
 
 @dataclass(frozen=True)
 class TiltedSkill:
-    """A skill done with a hand that leans outwards, further the further it is from the shoulder.
+    """A skill done with an end effector that leans outwards, the more the farther it is from the shoulder.
 
-    An arm whose hand points straight down is stretched at `near` m or a little more from `shoulder` (2,) m, and a
-    stretched arm is stuck: its elbow does not know which way to bend.
+    An arm whose gripper points straight down is stretched a little beyond `near`. A stretched arm is singular: its
+    elbow may bend either way.
+
+    shoulder: (2,) m.
+    near: meters from the shoulder beyond which it leans.
+    max_lean: rad.
+    hand_length: meters over which it leans by one rad more.
     """
 
     skill: Skill
     shoulder: tuple[float, float]
     near: float
-    most: float = 0.45
-    hand: float = 0.2
+    max_lean: float = 0.45
+    hand_length: float = 0.2
 
     @property
     def name(self) -> str:
@@ -267,7 +287,7 @@ class TiltedSkill:
     def act(self, hand: EndEffector, achieved: Array, style: Style) -> Array:
         out = hand.position[:2] - self.shoulder
         away = float(np.linalg.norm(out))
-        lean = min(self.most, max(0.0, (away - self.near) / self.hand))  # rad
+        lean = min(self.max_lean, max(0.0, (away - self.near) / self.hand_length))  # rad
         x, y = out / max(away, 1e-6)
         c, s = np.cos(lean), np.sin(lean)
         tilt = np.array(
@@ -296,7 +316,7 @@ def waypoint(position: Array, yaw: float, grip: float, wait: int = 0) -> Waypoin
 
 
 def turn(yaw: float, wanted: float, symmetry: float) -> float:
-    """The shortest turn in rad from `yaw` to `wanted`, for a thing that is the same again after `symmetry`."""
+    """The shortest turn in rad from `yaw` to `wanted`, for an object that is the same again after `symmetry`."""
     if symmetry == 0:
         return 0.0
     return float((wanted - yaw + symmetry / 2) % symmetry - symmetry / 2)

@@ -1,4 +1,4 @@
-"""The world: scenes behind one Environment, fast stepping and drawing."""
+"""Simulation: scenes behind one Environment contract, fast stepping and rendering."""
 
 import logging
 import os

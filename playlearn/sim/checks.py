@@ -1,4 +1,4 @@
-"""What every world refuses: an action that is none, and physics that has broken down."""
+"""What every environment refuses: an invalid action, and physics that has diverged."""
 
 import math
 from collections.abc import Sequence

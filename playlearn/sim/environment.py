@@ -1,4 +1,4 @@
-"""What every simulated world offers; rollouts, evaluation and collection know nothing else of it."""
+"""What every environment offers; rollouts, evaluation and collection use nothing else of it."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,15 +20,16 @@ class CameraConfig:
 
 @dataclass(frozen=True)
 class Task:
-    """A named task: where it starts, what to ask an expert for, and how to judge the outcome.
+    """A named task: where it starts, what to ask an expert for, and what counts as success.
 
+    name: unique in its environment.
     kind: what it is an instance of (`lift` of `lift_red`), for play's weights.
     precondition: (achieved) -> bool, whether a start state suits the task.
     arrange: (environment, rng) -> None, brings a freshly reset environment into such a state.
     command: (achieved, rng) -> (G,), the goal state an expert is asked to reach from there.
-    judge: (start, achieved, goal) -> bool, what the task is about, and nothing else.
-    pose: (environment, rng) -> (N,) simulator state, of a benchmark's task, whose goal is given and not reached by an
-        expert: brings the environment into a start state and returns the goal's.
+    judge: (start, achieved, goal) -> bool, success at what the task names, and nothing else.
+    pose: (environment, rng) -> (N,) simulator state of the goal, which a benchmark's task gives instead of having an
+        expert reach it; brings the environment into a start state.
     """
 
     name: str
@@ -42,7 +43,15 @@ class Task:
 
 @dataclass(frozen=True)
 class EnvironmentSpec:
-    """What an environment's numbers mean. fps: control steps a second."""
+    """What an environment's numbers mean.
+
+    state_names: of `observation.state`.
+    achieved_names: of the achieved goal.
+    action_names: of an action.
+    cameras: that can be rendered.
+    fps: control steps a second.
+    controller: its type, gains and limits, on record.
+    """
 
     state_names: tuple[str, ...]
     achieved_names: tuple[str, ...]
@@ -61,9 +70,11 @@ class EnvironmentConfig(draccus.ChoiceRegistry):
 
 
 class Environment(Protocol):
-    """One simulated world. Not thread-safe; one process may hold many.
+    """One simulated environment. Not thread-safe; one process may hold many.
 
-    `config` builds it again; `spec` names its indices; `tasks` are the named tasks it can judge.
+    config: builds it again.
+    spec: names its indices.
+    tasks: its named tasks.
     """
 
     spec: EnvironmentSpec
@@ -77,11 +88,11 @@ class Environment(Protocol):
         ...
 
     def clone(self) -> Self:
-        """A second world over the same model and renderer, in the same state (cheap)."""
+        """A second environment over the same model and renderer, in the same state (cheap)."""
         ...
 
     def sim_state(self) -> Array:
-        """(N,) float64: everything that `set_state` needs to go on exactly as this world would."""
+        """(N,) float64: everything that `set_state` needs to go on exactly as this environment would."""
         ...
 
     def set_state(self, sim_state: Array) -> None: ...
@@ -90,8 +101,8 @@ class Environment(Protocol):
         """Execute (A,) in [-1, 1] for one control period.
 
         Raises:
-            ActionError: not finite, wrong shape or out of range (the world is left untouched).
-            SimulationDiverged: physics broke; the world is unusable until reset or set_state.
+            ActionError: not finite, wrong shape or out of range (the environment is left untouched).
+            SimulationDiverged: physics broke; the environment is unusable until reset or set_state.
         """
         ...
 
@@ -117,10 +128,11 @@ class Environment(Protocol):
 
 
 class Actor(Protocol):
-    """Who drives: a policy, the scripted expert, the player, chance.
+    """What acts: a policy, the scripted expert, a play policy, a teleoperator, random actions.
 
-    cameras: what it must see when it acts next; asked after every `reset` and `act`, since to draw is dear and a
-    policy need not look while it carries out a plan.
+    name: on record.
+    cameras: whose images it needs when it acts next; asked after every `reset` and `act`, since rendering is
+        expensive and a policy need not look while it carries out a plan.
     """
 
     @property

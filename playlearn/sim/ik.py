@@ -1,8 +1,8 @@
-"""The hand moved a little aside in a simulation, the rest of the world as it was: damped least squares over the arm.
+"""The end effector moved a little aside, the rest of the simulation as it was: damped least squares over the arm.
 
     dq = J^T (J J^T + damping^2 I)^-1 e         (Nakamura and Hanafusa, 1986; Wampler, 1986)
 
-with e (6,) what the hand's position and orientation still lack and J (6, n) the arm's Jacobian at the hand's site.
+with e (6,) the error of the end effector's pose and J (6, n) the arm's Jacobian at its site.
 """
 
 from collections.abc import Sequence
@@ -15,18 +15,18 @@ from playlearn.episode import Array
 
 _DAMPING = 0.05
 _ROUNDS = 30
-_WITHIN = (5e-4, 2e-3)  # meters and radians that the hand may be off where it was wanted
+_WITHIN = (5e-4, 2e-3)  # meters and radians of error that are accepted
 
 
 @runtime_checkable
 class HandDisplacement(Protocol):
-    """A world whose hand can be put aside."""
+    """An environment whose end effector can be displaced."""
 
     def displace(self, shift: Array, turn: Array) -> bool:
-        """Move the hand by `shift` (3,) m and the rotation vector `turn` (3,) rad, both in the world's frame.
+        """Move the end effector by `shift` (3,) m and the rotation vector `turn` (3,) rad, both in the world frame.
 
-        Only the arm's joints change; velocities stay. Returns whether it is there, and touches nothing; where it
-        does not, the world is unusable until `set_state`.
+        Only the arm's joints change; velocities stay. Returns whether it got there and touches nothing; otherwise
+        the environment is unusable until `set_state`.
         """
         ...
 
@@ -83,7 +83,7 @@ def _rotation(turn: Array) -> Array:
 
 
 def _between(now: Array, wanted: Array) -> Array:
-    """(3,) rad, the rotation vector in the world's frame that turns one into the other."""
+    """(3,) rad, the rotation vector in the world frame that turns one into the other."""
     quaternion, vector = np.empty(4), np.empty(3)
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(wanted @ now.T).reshape(9))
     mujoco.mju_quat2Vel(vector, quaternion, 1.0)

@@ -30,8 +30,8 @@ from playlearn.errors import SimulationDiverged
 
 MOST_JOINTS = 8
 
-# What the callback knows of one world: addresses of MuJoCo's arrays, indices, gains, and this control period's goal.
-_WORLD = np.dtype(
+# What the callback knows of one environment: addresses of MuJoCo's arrays, indices, gains, this control period's goal.
+_ARM_RECORD = np.dtype(
     [
         *((name, "i8") for name in ("data", "qpos", "qvel", "bias", "inertia", "ctrl")),
         *((name, "i8") for name in ("dof_axes", "root_com", "site_pos", "site_mat", "base_pos", "base_mat")),
@@ -54,11 +54,14 @@ _WORLD = np.dtype(
 
 
 class ArmControl:
-    """The controller of one world's arm: `step` moves its simulation one control period on.
+    """The controller of one environment's arm: `step` advances its simulation by one control period.
 
-    site, base: ids of the sites to be moved and of the arm's own origin. qpos, qvel, ctrl: (n,) indices of the arm.
-    kp, kd: (6,) gains. scale: (6,) meters and radians that an action of 1 stands for. rest: (n,) rad, the posture
-    that a redundant arm is drawn to. substeps: physics steps in a control period.
+    site, base: ids of the sites to be moved and of the arm's own origin.
+    qpos, qvel, ctrl: (n,) indices of the arm.
+    kp, kd: (6,) gains.
+    scale: (6,) meters and radians that an action of 1 stands for.
+    rest: (n,) rad, the posture that a redundant arm is drawn to.
+    substeps: physics steps in a control period.
     """
 
     def __init__(
@@ -82,31 +85,31 @@ class ArmControl:
             raise ValueError(f"an arm of {joints} joints; MOST_JOINTS is {MOST_JOINTS}")
         self._model, self._substeps, self._scale = model, substeps, np.asarray(scale, float)
         self._site, self._base = site, base
-        self._known = np.zeros(1, _WORLD)
-        world = self._known[0]
-        world["nq"], world["nv"], world["nu"], world["nM"] = model.nq, model.nv, model.nu, model.nM
-        world["joints"] = joints
-        world["qpos_at"][:joints], world["qvel_at"][:joints], world["ctrl_at"][:joints] = qpos, qvel, ctrl
-        world["moves_site"][:joints] = _movers(model, site, qvel)
-        world["moves_base"][:joints] = _movers(model, base, qvel)  # an IIWA's is on its first link
-        world["inertia_at"][:joints, :joints] = _inertia_addresses(model, qvel)
-        world["torque_range"][:joints] = model.actuator_ctrlrange[ctrl]
-        world["rest"][:joints], world["kp"], world["kd"] = rest, kp, kd
+        self._record = np.zeros(1, _ARM_RECORD)
+        record = self._record[0]
+        record["nq"], record["nv"], record["nu"], record["nM"] = model.nq, model.nv, model.nu, model.nM
+        record["joints"] = joints
+        record["qpos_at"][:joints], record["qvel_at"][:joints], record["ctrl_at"][:joints] = qpos, qvel, ctrl
+        record["moves_site"][:joints] = _movers(model, site, qvel)
+        record["moves_base"][:joints] = _movers(model, base, qvel)  # an IIWA's is on its first link
+        record["inertia_at"][:joints, :joints] = _inertia_addresses(model, qvel)
+        record["torque_range"][:joints] = model.actuator_ctrlrange[ctrl]
+        record["rest"][:joints], record["kp"], record["kd"] = rest, kp, kd
         self.use(data)
 
     def clone(self, data: mujoco.MjData) -> "ArmControl":
         """The same arm in another simulation of the same model."""
         twin = object.__new__(type(self))
         twin.__dict__.update(self.__dict__)
-        twin._known = self._known.copy()
+        twin._record = self._record.copy()
         twin.use(data)
         return twin
 
     def use(self, data: mujoco.MjData) -> None:
         """Read and move this simulation from now on."""
-        self._data, world = data, self._known[0]
+        self._data, record = data, self._record[0]
         root = self._model.body_rootid[self._model.site_bodyid[self._site]]
-        world["data"] = data._address
+        record["data"] = data._address
         for name, array in {
             "qpos": data.qpos,
             "qvel": data.qvel,
@@ -120,7 +123,7 @@ class ArmControl:
             "base_pos": data.site_xpos[self._base],
             "base_mat": data.site_xmat[self._base],
         }.items():
-            world[name] = array.ctypes.data
+            record[name] = array.ctypes.data
 
     def step(self, action: Array) -> None:
         """One control period towards the present pose moved by `action` (6,) in [-1, 1], in the base's frame.
@@ -130,14 +133,14 @@ class ArmControl:
         Raises:
             SimulationDiverged: MuJoCo gave up, or the arm's inertia is no longer one.
         """
-        world, delta = self._known[0], action * self._scale
-        world["delta"] = delta[:3]
+        record, delta = self._record[0], action * self._scale
+        record["delta"] = delta[:3]
         # robosuite's own two functions, which round to single precision on the way.
-        world["turn"] = transform_utils.quat2mat(transform_utils.axisangle2quat(delta[3:]))
-        world["calls"] = world["broken"] = 0
+        record["turn"] = transform_utils.quat2mat(transform_utils.axisangle2quat(delta[3:]))
+        record["calls"] = record["broken"] = 0
         control, silence = _callbacks()
         with _STEPPING:
-            control(0, self._known.ctypes.data)
+            control(0, self._record.ctypes.data)
             try:
                 # Only around our own call: others may step models of theirs in this process.
                 mujoco.set_mjcb_control(control)
@@ -148,10 +151,12 @@ class ArmControl:
             finally:
                 mujoco.set_mjcb_control(None)
                 mujoco.set_mju_user_warning(None)
-        if world["broken"]:
+        if record["broken"]:
             raise SimulationDiverged("the arm's inertia or pose is not finite")
-        if world["calls"] != self._substeps:
-            raise RuntimeError(f"controlled {world['calls']} of {self._substeps} substeps: MuJoCo's callback was taken")
+        if record["calls"] != self._substeps:
+            raise RuntimeError(
+                f"controlled {record['calls']} of {self._substeps} substeps: MuJoCo's callback was taken"
+            )
 
 
 def _movers(model: mujoco.MjModel, site: int, dofs: Sequence[int]) -> list[bool]:
@@ -198,71 +203,71 @@ def _mailbox(_context: Any) -> Any:
 
 
 def _control(model: Any, data: Any) -> None:
-    """Write the arm's torques into `ctrl` of the world whose turn it is, if this is that world's data.
+    """Write the arm's torques into `ctrl` of the arm whose turn it is, if this is its simulation's data.
 
-    MuJoCo calls it with its model and data, we with 0 and the world whose turn it is from now on. So the code knows no
+    MuJoCo calls it with its model and data, we with 0 and the arm whose turn it is from now on. So the code holds no
     address of this process, and is compiled once for all.
     """
     mailbox = numba.carray(_pointer(_mailbox()), 1, np.int64)
     if model == 0:
         mailbox[0] = data
         return
-    world = numba.carray(_pointer(mailbox[0]), 1, _WORLD)[0]
-    if world.data != data:
+    record = numba.carray(_pointer(mailbox[0]), 1, _ARM_RECORD)[0]
+    if record.data != data:
         return  # another thread's simulation, which only happens to run meanwhile
-    world.calls += 1
-    ctrl = _floats(world.ctrl, world.nu)
-    if world.calls == 1:
-        _set_goal(world)
+    record.calls += 1
+    ctrl = _floats(record.ctrl, record.nu)
+    if record.calls == 1:
+        _set_goal(record)
     try:
-        torques = _torques(world)
-        for i in range(world.joints):
-            ctrl[world.ctrl_at[i]] = min(max(torques[i], world.torque_range[i, 0]), world.torque_range[i, 1])
+        torques = _torques(record)
+        for i in range(record.joints):
+            ctrl[record.ctrl_at[i]] = min(max(torques[i], record.torque_range[i, 0]), record.torque_range[i, 1])
     except Exception:  # noqa: BLE001 - numba knows no other; an inertia that has no inverse
-        world.broken = 1
+        record.broken = 1
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _set_goal(world: Any) -> None:
+def _set_goal(record: Any) -> None:
     """The present pose, moved by delta and turn; kept in the base's frame."""
     from_base, from_world, hand = np.eye(4), np.eye(4), np.eye(4)
-    base_mat = _floats(world.base_mat, (3, 3))
+    base_mat = _floats(record.base_mat, (3, 3))
     from_base[:3, :3] = base_mat.T
-    from_base[:3, 3] = np.dot(-np.ascontiguousarray(base_mat.T), _floats(world.base_pos, 3))
-    from_world[:3, 3] = _floats(world.site_pos, 3)
-    hand[:3, :3], hand[:3, 3] = _floats(world.site_mat, (3, 3)), _floats(world.site_pos, 3)
-    world.goal_pos[:] = np.dot(from_base, from_world)[:3, 3] + world.delta
-    world.goal_mat[:] = np.dot(world.turn.copy(), np.ascontiguousarray(np.dot(from_base, hand)[:3, :3]))
+    from_base[:3, 3] = np.dot(-np.ascontiguousarray(base_mat.T), _floats(record.base_pos, 3))
+    from_world[:3, 3] = _floats(record.site_pos, 3)
+    hand[:3, :3], hand[:3, 3] = _floats(record.site_mat, (3, 3)), _floats(record.site_pos, 3)
+    record.goal_pos[:] = np.dot(from_base, from_world)[:3, 3] + record.delta
+    record.goal_mat[:] = np.dot(record.turn.copy(), np.ascontiguousarray(np.dot(from_base, hand)[:3, :3]))
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _torques(world: Any) -> Any:
+def _torques(record: Any) -> Any:
     """(n,) N m, before the actuators' limits."""
-    n, nv = world.joints, world.nv
-    qpos, qvel, bias = _floats(world.qpos, world.nq), _floats(world.qvel, nv), _floats(world.bias, nv)
-    inertia = _floats(world.inertia, world.nM)
+    n, nv = record.joints, record.nv
+    qpos, qvel, bias = _floats(record.qpos, record.nq), _floats(record.qvel, nv), _floats(record.bias, nv)
+    inertia = _floats(record.inertia, record.nM)
     position, velocity, gravity, rest = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     mass = np.empty((n, n)).T  # Fortran order, as robosuite's indexing leaves it
     for i in range(n):
-        position[i], velocity[i] = qpos[world.qpos_at[i]], qvel[world.qvel_at[i]]
-        gravity[i], rest[i] = bias[world.qvel_at[i]], world.rest[i]
+        position[i], velocity[i] = qpos[record.qpos_at[i]], qvel[record.qvel_at[i]]
+        gravity[i], rest[i] = bias[record.qvel_at[i]], record.rest[i]
         for j in range(n):
-            mass[i, j] = inertia[world.inertia_at[i, j]]
-    jacobian = _jacobian(world, world.site_pos, world.moves_site)  # (6, nv)
+            mass[i, j] = inertia[record.inertia_at[i, j]]
+    jacobian = _jacobian(record, record.site_pos, record.moves_site)  # (6, nv)
     speed, spin = np.dot(jacobian[:3], qvel), np.dot(jacobian[3:], qvel)
-    if world.moves_base.any():
-        carried = _jacobian(world, world.base_pos, world.moves_base)
+    if record.moves_base.any():
+        carried = _jacobian(record, record.base_pos, record.moves_base)
         speed, spin = speed - np.dot(carried[:3], qvel), spin - np.dot(carried[3:], qvel)
     arm = np.empty((6, n))
     for i in range(n):
-        arm[:, i] = jacobian[:, world.qvel_at[i]]
+        arm[:, i] = jacobian[:, record.qvel_at[i]]
 
-    site_pos, site_mat = _floats(world.site_pos, 3), _floats(world.site_mat, (3, 3))
-    base_pos, base_mat = _floats(world.base_pos, 3), _floats(world.base_mat, (3, 3))
-    goal_pos = base_pos + np.dot(base_mat, world.goal_pos.copy())
-    goal_mat = np.dot(base_mat, world.goal_mat.copy())
-    force = (goal_pos - site_pos) * world.kp[:3] - speed * world.kd[:3]
-    torque = orientation_error(goal_mat, site_mat) * world.kp[3:] - spin * world.kd[3:]
+    site_pos, site_mat = _floats(record.site_pos, 3), _floats(record.site_mat, (3, 3))
+    base_pos, base_mat = _floats(record.base_pos, 3), _floats(record.base_mat, (3, 3))
+    goal_pos = base_pos + np.dot(base_mat, record.goal_pos.copy())
+    goal_mat = np.dot(base_mat, record.goal_mat.copy())
+    force = (goal_pos - site_pos) * record.kp[:3] - speed * record.kd[:3]
+    torque = orientation_error(goal_mat, site_mat) * record.kp[3:] - spin * record.kd[3:]
     _, linear, angular, nullspace = opspace_matrices(mass, arm, arm[:3], arm[3:])
     wrench = np.empty(6)
     wrench[:3], wrench[3:] = np.dot(linear, force), np.dot(angular, torque)
@@ -271,14 +276,14 @@ def _torques(world: Any) -> Any:
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _jacobian(world: Any, where: int, moves: Any) -> Any:
+def _jacobian(record: Any, where: int, moves: Any) -> Any:
     """(6, nv): how the arm's joints move a site, linear before angular, as `mj_jacSite` computes it."""
-    axes, root, site = _floats(world.dof_axes, (world.nv, 6)), _floats(world.root_com, 3), _floats(where, 3)
+    axes, root, site = _floats(record.dof_axes, (record.nv, 6)), _floats(record.root_com, 3), _floats(where, 3)
     x, y, z = site[0] - root[0], site[1] - root[1], site[2] - root[2]
-    jacobian = np.zeros((6, world.nv))
-    for i in range(world.joints):
+    jacobian = np.zeros((6, record.nv))
+    for i in range(record.joints):
         if moves[i]:
-            dof = world.qvel_at[i]
+            dof = record.qvel_at[i]
             axis = axes[dof]  # angular before linear, at the root's center of mass
             jacobian[0, dof] = axis[3] + (axis[1] * z - axis[2] * y)
             jacobian[1, dof] = axis[4] + (axis[2] * x - axis[0] * z)

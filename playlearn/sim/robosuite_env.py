@@ -1,4 +1,4 @@
-"""Any robosuite scene with one arm, stepped by compiled control and drawn by simplified meshes.
+"""Any robosuite scene with one arm, stepped by compiled control and rendered from simplified meshes.
 
 The scene, the robot, the controller's gains and the gripper come from robosuite itself; only the
 loop around MuJoCo is ours, because robosuite spends most of a control step in Python.
@@ -40,10 +40,13 @@ class RobosuiteEnv:
     """The part of `Environment` that is the same for every robosuite task with one arm.
 
     build: makes the robosuite environment (without renderer or observations).
-    achieved_names: what the subclass's `achieved` returns. extra: how many numbers beside MuJoCo's
-    state the subclass keeps (`self.extra`; a lamp, a latch); they are saved, restored and painted.
+    achieved_names: what the subclass's `achieved` returns.
+    cameras: name -> size of the images.
+    extra: how many numbers beside MuJoCo's state the subclass keeps (`self.extra`; a lamp, a latch); they are saved,
+        restored and painted.
+    paint: (model, what `_shown` returns) -> None, shows these numbers on a model.
 
-    A subclass offers `_achieved`, `_arrange`, `failure`, `reached`, and may override `_after_step`.
+    A subclass implements `_achieved`, `_arrange`, `failure`, `reached`, and may override `_after_step`.
     """
 
     def __init__(
@@ -89,7 +92,7 @@ class RobosuiteEnv:
         self._gripper_center, self._gripper_half = limits.mean(1), (limits[:, 1] - limits[:, 0]) / 2
         fingers = self._gripper_model.important_geoms
         pads = [pad for side in ("left", "right") for pad in fingers.get(f"{side}_fingerpad", [])[:1]]
-        self._fingers = [self._geom_id(pad) for pad in pads]  # none where the hand is a tool
+        self._fingers = [self._geom_id(pad) for pad in pads]  # none where the end effector is a tool
         self._closed = float(sum(self.model.geom_size[geom].min() for geom in self._fingers))
         self._gripper: Array = np.zeros(len(self._gripper_ctrl))
         self.extra = np.zeros(extra)
@@ -115,7 +118,7 @@ class RobosuiteEnv:
             known = [self.model.camera(i).name for i in range(self.model.ncam)]
             raise UsageError(f"the scene has no camera {unknown[0]!r}; it has {', '.join(known)}")
 
-    # What a subclass says of its task -------------------------------------------------------------
+    # What a subclass implements --------------------------------------------------------------
 
     def _achieved(self) -> Array:
         raise NotImplementedError

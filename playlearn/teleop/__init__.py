@@ -1,1 +1,1 @@
-"""People drive: keyboard and SpaceMouse."""
+"""Teleoperation by people: keyboard and SpaceMouse."""

@@ -1,4 +1,4 @@
-"""A person with one of robosuite's own devices, as an Actor: real time, a picture, and three keys beside the device.
+"""A teleoperator with one of robosuite's own devices, as an Actor: real time, an image, and three keys.
 
 robosuite's conventions hold (`Device.input2action`): motions are commands in [-1, 1] of the OSC controller, in
 the frame of the robot's base, of which 1 asks for 0.05 m or 0.5 rad; the device's own reset ends an episode.
@@ -22,7 +22,7 @@ from playlearn.sim.environment import Environment
 ACTIONS = 7  # three of position, three of rotation, the gripper
 DEVICES = {"keyboard": ("Keyboard", "keyboard"), "spacemouse": ("SpaceMouse", "spacemouse")}  # class, module
 TOUCH = 0.02  # what a SpaceMouse at rest stays below
-SLOWEST = 0.2  # seconds between two pictures where drawing takes longer than a step
+SLOWEST = 0.2  # seconds between two images where rendering takes longer than a step
 
 
 class Device(Protocol):
@@ -42,7 +42,7 @@ class Device(Protocol):
 
 
 class Wish(Enum):
-    """What a person wants of the episode in hand."""
+    """What the teleoperator wants done with the present episode."""
 
     KEEP = "end it and keep it"
     DISCARD = "throw it away and begin again"
@@ -50,10 +50,10 @@ class Wish(Enum):
 
 
 class Screen(Protocol):
-    """Where a person sees the world, and says what becomes of an episode."""
+    """Where the teleoperator sees the environment, and decides what becomes of an episode."""
 
-    def show(self, image: Array, words: str) -> None:
-        """Put up an image (h, w, 3) uint8 and a line of text."""
+    def show(self, image: Array, text: str) -> None:
+        """Show an image (h, w, 3) uint8 and a line of text."""
         ...
 
     def wish(self) -> Wish | None:
@@ -72,10 +72,10 @@ class Clock:
 
 
 class DeviceActor:
-    """Plays one environment with what the device says now, one step each 1 / fps seconds.
+    """Plays one environment with the device's present command, one step each 1 / fps seconds.
 
-    kind: names the device in `name`, which goes on record. size: (height, width) in pixels of the
-    picture, which the environment's first camera sees.
+    kind: names the device in `name`, which is recorded.
+    size: (height, width) in pixels of the image from the environment's first camera.
     """
 
     cameras: tuple[str, ...] = ()
@@ -91,7 +91,10 @@ class DeviceActor:
         size: tuple[int, int] = (480, 480),
     ) -> None:
         if len(environment.spec.action_names) != ACTIONS:
-            raise UsageError(f"a device moves a hand with {ACTIONS} numbers; here are {environment.spec.action_names}")
+            raise UsageError(
+                f"a device moves an end effector with {ACTIONS} numbers; this environment's actions are "
+                f"{', '.join(environment.spec.action_names)}"
+            )
         self.name = f"human:{kind}"
         self.wish: Wish | None = None
         self._device, self._environment, self._screen = device, environment, screen
@@ -102,7 +105,7 @@ class DeviceActor:
         self._due = self._drawn = self._drawing = 0.0
 
     def ready(self, title: str) -> bool:
-        """Show the world as it stands until the person moves or grips; False where they leave instead."""
+        """Show the environment until the teleoperator moves or grips; False where they leave instead."""
         self._begin()
         self._due, self._drawn = self._clock.now(), -np.inf
         while True:
@@ -118,13 +121,13 @@ class DeviceActor:
 
     def reset(self, goals: Sequence[Goal | None], seeds: Sequence[int]) -> None:
         if len(goals) != 1:
-            raise ValueError(f"one person plays in one world, not in {len(goals)}")
+            raise ValueError(f"one teleoperator plays in one environment, not in {len(goals)}")
 
     def act(self, observations: Sequence[Observation], active: Sequence[bool]) -> Sequence[Decision]:
         return [Decision(self._action)]
 
     def over(self, _k: int, _observation: Observation) -> bool:
-        """The `stop` of `rollout`: asked after each step, it waits for the next one; `wish` says what is to become."""
+        """The `stop` of `rollout`: asked after each step, it waits for the next; `wish` is then what is to be done."""
         reset = self._tick(f"{self._title}, {self._clock.now() - self._began:.0f} s")
         if reset and self.wish is None:
             self.wish = Wish.KEEP
@@ -134,11 +137,11 @@ class DeviceActor:
         self._device.start_control()
         self.wish = None
 
-    def _tick(self, words: str) -> bool:
+    def _tick(self, text: str) -> bool:
         """Draw, wait until the next step is due, look at device and keys. Whether the device asks for a reset."""
         now = self._clock.now()
         if now + self._drawing <= self._due or now - self._drawn >= SLOWEST:
-            self._screen.show(self._environment.render(self._camera, *self._size), words)
+            self._screen.show(self._environment.render(self._camera, *self._size), text)
             self._drawing, self._drawn = self._clock.now() - now, now
         if self._due > self._clock.now():
             self._clock.sleep(self._due - self._clock.now())
@@ -149,7 +152,7 @@ class DeviceActor:
 
 
 def read(device: Device) -> tuple[Array, bool]:
-    """(7,) float32 in [-1, 1], what the device says now, and whether it asks for a reset.
+    """(7,) float32 in [-1, 1], the device's present command, and whether it asks for a reset.
 
     The same numbers as robosuite's `Device.input2action` gives for one arm under OSC_POSE.
     """

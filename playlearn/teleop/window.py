@@ -25,7 +25,7 @@ class Window:
         self._glfw, self._size = glfw, (height, width)
         self._wish: Wish | None = None
         self._window: Any = None
-        with warnings.catch_warnings(record=True) as told:
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             if glfw.init():
                 if os.environ.get("MUJOCO_GL") == "egl":  # a thread may not hold contexts of EGL and GLX by turns
@@ -33,11 +33,11 @@ class Window:
                 glfw.window_hint(glfw.RESIZABLE, glfw.FALSE)
                 self._window = glfw.create_window(width, height, title, None, None)
         if not self._window:
-            said = (re.sub(r"^\(\d+\) b.(.*).$", r"\1", str(warning.message)) for warning in told)
-            why = "; ".join(said) or "GLFW gives no reason"
+            reasons = (re.sub(r"^\(\d+\) b.(.*).$", r"\1", str(warning.message)) for warning in caught)
+            why = "; ".join(reasons) or "GLFW gives no reason"
             raise UsageError(
-                f"a person needs to see the world, and no window can be opened here ({why}): run this where there is a "
-                "screen (over ssh: `ssh -X`), or leave out --device"
+                f"a teleoperator needs to see the environment, and no window can be opened here ({why}): run this "
+                "where there is a screen (over ssh: `ssh -X`), or leave out --device"
             )
         self._wishes = {
             glfw.KEY_ENTER: Wish.KEEP,
@@ -63,8 +63,8 @@ class Window:
         self._context.free()
         self._glfw.destroy_window(self._window)
 
-    def show(self, image: Array, words: str) -> None:
-        """Put up an image (h, w, 3) uint8 of any size that divides the window's, and a line of text."""
+    def show(self, image: Array, text: str) -> None:
+        """Show an image (h, w, 3) uint8 of any size that divides the window's, and a line of text."""
         self._glfw.make_context_current(self._window)  # the renderer made its own current
         width, height = self._glfw.get_framebuffer_size(self._window)
         down, across = max(1, height // image.shape[0]), max(1, width // image.shape[1])
@@ -72,7 +72,7 @@ class Window:
         area = mujoco.MjrRect(0, 0, large.shape[1], large.shape[0])
         mujoco.mjr_drawPixels(large.reshape(-1), None, area, self._context)
         place, font = mujoco.mjtGridPos.mjGRID_TOPLEFT, mujoco.mjtFont.mjFONT_NORMAL
-        mujoco.mjr_overlay(font, place, area, words, "", self._context)
+        mujoco.mjr_overlay(font, place, area, text, "", self._context)
         mujoco.mjr_overlay(font, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT, area, KEYS, "", self._context)
         self._glfw.swap_buffers(self._window)
 

@@ -239,7 +239,7 @@ def test_mistakes_are_found_before_anything_runs(run: Path, tmp_path: Path) -> N
     out = tmp_path / "out"
     with pytest.raises(UsageError, match="no run at"):
         go(described(run), tmp_path / "nowhere", out)
-    with pytest.raises(UsageError, match="nobody can drive 'point'"):
+    with pytest.raises(UsageError, match="'point' has no skill library"):
         dagger(described(run), run, out, workers=0)
     with pytest.raises(UsageError, match="seed of the rollouts"):
         go(described(run, eval_seed=module.derived_seed(module._PRACTICE, 0)), run, out)

@@ -1,4 +1,4 @@
-"""What every registered world and its driver must do; a new task is tested the day it is added."""
+"""What every registered environment and its skill library must do; a new one is tested the day it is added."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -22,7 +22,10 @@ KINDS = sorted(
 )
 
 
-PLAYERS = {"ogbench_cube": OgbenchPlayConfig(), "ogbench_scene": OgbenchPlayConfig()}  # of those not played by skills
+PLAY_CONFIGS = {
+    "ogbench_cube": OgbenchPlayConfig(),
+    "ogbench_scene": OgbenchPlayConfig(),
+}  # not by skills
 
 
 @pytest.fixture(scope="module", params=KINDS)
@@ -61,7 +64,7 @@ def begin(env: Any, task: Task, seed: int) -> tuple[Array, Array]:
     pytest.fail(f"{task.name}: no start in 200 draws")
 
 
-def test_what_it_says_of_itself_fits_what_it_shows(env: Any) -> None:
+def test_its_spec_fits_its_observations(env: Any) -> None:
     env.reset(0)
     seen = env.observe()
     assert seen.state.shape == (len(env.spec.state_names),)
@@ -71,7 +74,7 @@ def test_what_it_says_of_itself_fits_what_it_shows(env: Any) -> None:
     assert all(name == task.name for name, task in env.tasks.items())
 
 
-def test_a_saved_state_goes_on_exactly_as_the_world_did(env: Any) -> None:
+def test_a_saved_state_goes_on_exactly_as_the_environment_did(env: Any) -> None:
     env.reset(1)
     wander(env, 1, 5)
     saved, twin = env.sim_state(), env.clone()
@@ -89,7 +92,7 @@ def test_a_saved_state_goes_on_exactly_as_the_world_did(env: Any) -> None:
 
 @pytest.mark.slow
 def test_two_that_are_built_alike_start_alike(env: Any) -> None:
-    """A worker builds its own: nothing about the scene may be left to chance."""
+    """A worker builds its own: nothing about the scene may be random."""
     other = env.config.build()
     for seed in (0, 1):
         env.reset(seed)
@@ -143,10 +146,10 @@ def test_the_expert_does_every_task(env: Any) -> None:
 def _done(env: Any, expert: Any, task: Task, seed: int) -> bool:
     start, goal = begin(env, task, seed)
 
-    def content(_: int, seen: Any) -> bool:
+    def solved(_: int, seen: Any) -> bool:
         return task.judge(start, seen.achieved, goal)
 
-    return rollout([env], expert, [Goal(goal)], seeds=[0], max_steps=250, stop=content)[0].ended == "stopped"
+    return rollout([env], expert, [Goal(goal)], seeds=[0], max_steps=250, stop=solved)[0].ended == "stopped"
 
 
 def test_the_expert_rests_where_nothing_is_to_be_done(env: Any) -> None:
@@ -175,12 +178,12 @@ def test_the_expert_remembers_nothing(env: Any) -> None:
 
 
 @pytest.mark.slow
-def test_play_changes_what_goals_speak_of_and_is_told_by_its_seed(env: Any) -> None:
-    player = PLAYERS.get(env.config.get_choice_name(type(env.config)), PlayConfig())
+def test_play_changes_the_achieved_goal_and_follows_from_its_seed(env: Any) -> None:
+    play_config = PLAY_CONFIGS.get(env.config.get_choice_name(type(env.config)), PlayConfig())
 
     def play(seed: int, steps: int) -> Any:
         env.reset(seed)
-        return rollout([env], play_policy_for(env, player), [None], seeds=[seed], max_steps=steps)[0].episode
+        return rollout([env], play_policy_for(env, play_config), [None], seeds=[seed], max_steps=steps)[0].episode
 
     def changed(episode: Any) -> bool:
         return not env.reached(episode.achieved[-1], episode.achieved[0]) or len(episode.meta.skills) > 2
@@ -192,7 +195,7 @@ def test_play_changes_what_goals_speak_of_and_is_told_by_its_seed(env: Any) -> N
 
 
 @pytest.mark.slow
-def test_every_camera_sees_the_world_change(env: Any) -> None:
+def test_every_camera_sees_the_scene_change(env: Any) -> None:
     env.reset(8)
     before = env.observe(env.spec.cameras).images
     for _ in range(12):

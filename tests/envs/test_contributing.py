@@ -37,10 +37,10 @@ def test_the_task_shown_can_be_driven_and_played() -> None:
         start = env.observe().achieved
         goal = task.command(start, np.random.default_rng(seed))
 
-        def content(_: int, seen: Observation) -> bool:
+        def solved(_: int, seen: Observation) -> bool:
             return task.judge(start, seen.achieved, goal)
 
-        return rollout([env], expert, [Goal(goal)], seeds=[0], max_steps=200, stop=content)[0].ended == "stopped"
+        return rollout([env], expert, [Goal(goal)], seeds=[0], max_steps=200, stop=solved)[0].ended == "stopped"
 
     def moved(seed: int) -> bool:
         env.reset(seed)

@@ -1,4 +1,4 @@
-"""Laws of the Door world: where its lever is, what robosuite calls open, and that a latch holds."""
+"""Laws of the Door environment: where its lever is, what robosuite calls open, and that a latch holds."""
 
 import numpy as np
 import pytest
@@ -31,11 +31,11 @@ def test_the_lever_is_where_achieved_says(env: DoorEnv, angle: float, latch: flo
 
 def test_a_lever_within_its_friction_is_not_turned(env: DoorEnv) -> None:
     env.reset(0)
-    told = []
+    angles = []
     for latch in (-0.1, 0.1, 0.11, 0.61, -0.61):
         env.data.qpos[env._latch] = latch
-        told.append(float(env.achieved()[LATCH]))
-    np.testing.assert_allclose(told, [0, 0, 0, 0.5, -0.5], atol=1e-6)
+        angles.append(float(env.achieved()[LATCH]))
+    np.testing.assert_allclose(angles, [0, 0, 0, 0.5, -0.5], atol=1e-6)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.29, 0.31, 0.4])

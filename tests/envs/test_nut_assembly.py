@@ -17,7 +17,7 @@ def env(request: pytest.FixtureRequest) -> NutAssemblyEnv:
 
 
 def test_threaded_is_what_robosuite_calls_success(env: NutAssemblyEnv) -> None:
-    """robosuite also asks that the hand has left it, as it has here."""
+    """robosuite also asks that the gripper has left it, as it has here."""
     their_env, seen = env.robosuite, set()
     for seed in range(4):
         env.reset(seed)
@@ -26,9 +26,9 @@ def test_threaded_is_what_robosuite_calls_success(env: NutAssemblyEnv) -> None:
             env.refresh()
         their_env.sim.data.qpos[:] = env.data.qpos
         their_env.sim.forward()
-        judged = on_peg(env.achieved(), PEGS[env.config.nut])
-        assert judged == bool(their_env._check_success())
-        seen.add(judged)
+        success = on_peg(env.achieved(), PEGS[env.config.nut])
+        assert success == bool(their_env._check_success())
+        seen.add(success)
     assert seen == {True, False}
 
 

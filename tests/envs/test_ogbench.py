@@ -1,4 +1,4 @@
-"""OGBench's worlds are OGBench's: the same dynamics, pixels, starts, goals and play, in one process bit for bit."""
+"""OGBench's environments are its own: the same dynamics, pixels, starts, goals and play, in one process bit for bit."""
 
 import sys
 import warnings
@@ -78,14 +78,14 @@ def test_a_step_is_ogbenchs_own_bit_for_bit(kind: str, scene: Any, two: Any) -> 
 
 
 @pytest.mark.slow
-def test_what_exact_pictures_show_is_what_ogbench_shows_and_quick_ones_are_near(scene: Any) -> None:
+def test_exact_images_are_ogbenchs_and_quick_ones_are_near(scene: Any) -> None:
     from mujoco import Renderer
 
     exact = OgbenchSceneConfig(exact=True).build()
     for env in (exact, scene):
         env.reset(3)
     other = theirs("scene")
-    other._ob_type = "pixels"  # the scene of the pixel worlds, drawn by us
+    other._ob_type = "pixels"  # the scene of the pixel environments, drawn by us
     other._mjcf_model = other.build_mjcf_model()
     other._ob_type = "states"
     other.reset(seed=3)
@@ -178,23 +178,23 @@ def reached(env: Any, name: str, seed: int) -> bool:
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "name"), [("double", "task4_swap"), ("scene", "task5_rearrange_hard")])
 def test_the_expert_does_the_hardest_tasks(kind: str, name: str, scene: Any, two: Any) -> None:
-    """A swap needs a cube laid aside; the hardest of the scene eight things in their order."""
+    """A swap needs a cube laid aside; the hardest of the scene eight changes in their order."""
     env = {"double": two, "scene": scene}[kind]
     assert often((reached(env, name, seed) for seed in range(1, 5)), done=1)
 
 
 def settled(scene: Any, seed: int) -> bool:
-    """Whether 15 s of play hold two targets that were settled on, of more than one thing; a target takes 1.5 to 5 s."""
+    """Whether 15 s of play hold two settled targets, of more than one object; a target takes 1.5 to 5 s."""
     scene.reset(seed)
     episode = rollout([scene], OgbenchPlayConfig().build(scene), [None], seeds=[seed], max_steps=300)[0].episode
     assert episode is not None
     table = RelabelIndex.build([episode.achieved], episode.meta.achieved_names, episode.meta.fps, SettlingConfig())
-    things = {group for group, count in table.change_counts().items() if count}
-    return len(episode.meta.skills) >= 2 and table.offsets[-1] >= 2 and len(things) >= 2
+    objects = {group for group, count in table.change_counts().items() if count}
+    return len(episode.meta.skills) >= 2 and table.offsets[-1] >= 2 and len(objects) >= 2
 
 
 @pytest.mark.slow
-def test_play_settles_on_many_things(scene: Any) -> None:
+def test_play_settles_on_many_objects(scene: Any) -> None:
     """And its skills say which."""
     assert often((settled(scene, seed) for seed in range(2, 10)), done=1, missed=8)
 
@@ -206,13 +206,13 @@ def test_what_does_not_fit_is_said(scene: Any) -> None:
         OgbenchCubeConfig(cameras={"wrist": CameraConfig()})
     with pytest.raises(UsageError, match="noise"):
         OgbenchPlayConfig(noise=-1.0)
-    with pytest.raises(UsageError, match="nobody can drive 'ogbench_scene'"):
+    with pytest.raises(UsageError, match="'ogbench_scene' has no skill library"):
         PlayConfig().build(scene)
-    with pytest.raises(UsageError, match="OGBench's own worlds alone"):
+    with pytest.raises(UsageError, match="OGBench's environments only"):
         OgbenchPlayConfig().build(LiftConfig().build())
-    player = OgbenchPlayConfig().build(scene)
-    with pytest.raises(UsageError, match="one world at a time"):
-        player.reset([None, None], [0, 1])
+    play_policy = OgbenchPlayConfig().build(scene)
+    with pytest.raises(UsageError, match="one environment at a time"):
+        play_policy.reset([None, None], [0, 1])
 
 
 def test_without_the_extra_the_message_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -224,7 +224,7 @@ def test_without_the_extra_the_message_says_how_to_get_it(monkeypatch: pytest.Mo
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["single", "scene"])
-def test_an_imported_dataset_says_what_our_world_would(kind: str, scene: Any, tmp_path: Path) -> None:
+def test_an_imported_dataset_holds_what_our_environment_would(kind: str, scene: Any, tmp_path: Path) -> None:
     """OGBench's own observations of its own play, through its own file, are our numbers; its states are drawn here."""
     env = scene if kind == "scene" else OgbenchCubeConfig().build()
     env.reset(9)

@@ -1,4 +1,4 @@
-"""Laws of the bins: robosuite's success is ours, a parcel is told the same however it is turned, far is reached."""
+"""Laws of the bins: robosuite's success is ours, a parcel has the same numbers however it is turned, far is reached."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def can() -> PickPlaceEnv:
 
 
 def test_stowed_is_what_robosuite_calls_success(env: PickPlaceEnv) -> None:
-    """robosuite also asks that the hand has left it, as it has here."""
+    """robosuite also asks that the gripper has left it, as it has here."""
     own, their_env = list(PARCELS).index(env.parcel.name), env.robosuite
     env.reset(0)
     for index, center in enumerate(_CENTERS):
@@ -59,12 +59,14 @@ def test_a_parcel_is_told_by_how_it_looks(name: str) -> None:
     for yaw in (-0.5, 0.0, 1.1):
         for tip in (0.0, 0.4, np.pi / 2):
             upside_down = turned(yaw, tip) @ np.diag([1.0, -1.0, -1.0])
-            np.testing.assert_allclose(parcel.told(here, upside_down), parcel.told(here, turned(yaw, tip)), atol=1e-6)
-    standing, lying = parcel.told(here, turned(0.3, 0.0)), parcel.told(here, turned(0.3, np.pi / 2))
+            np.testing.assert_allclose(
+                parcel.achieved_of(here, upside_down), parcel.achieved_of(here, turned(yaw, tip)), atol=1e-6
+            )
+    standing, lying = parcel.achieved_of(here, turned(0.3, 0.0)), parcel.achieved_of(here, turned(0.3, np.pi / 2))
     np.testing.assert_allclose(standing[3:6], [1, 0, 0], atol=1e-6)
     np.testing.assert_allclose(lying[3:6], [0, -np.cos(0.6), -np.sin(0.6)], atol=1e-6)  # at 0.3 + pi / 2
     if parcel.round:
-        np.testing.assert_allclose(parcel.told(here, turned(0.9, 0.0)), standing, atol=1e-6)
+        np.testing.assert_allclose(parcel.achieved_of(here, turned(0.9, 0.0)), standing, atol=1e-6)
 
 
 def carried_lying(can: PickPlaceEnv, seed: int) -> bool:
@@ -88,7 +90,7 @@ def test_a_can_that_fell_is_carried_lying(can: PickPlaceEnv) -> None:
 
 
 def test_a_leaning_hand_points_outwards_and_only_far_out() -> None:
-    """0.1 m beyond where it begins, over a hand of 0.2 m: half a radian, were 0.45 not the most."""
+    """0.1 m beyond where it begins, over a hand length of 0.2 m: half a radian, were 0.45 not the most."""
     down = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
     for away, lean in ((0.5, 0.0), (0.7, 0.0), (0.74, 0.2), (0.8, 0.45)):
         place = np.array([away, 0.0, 1.0])

@@ -1,4 +1,4 @@
-"""Laws of the worlds of pieces: Lift and Stack are robosuite's own, and any arrangement can be made of any other."""
+"""Laws of the environments of pieces: Lift and Stack are robosuite's own, any arrangement can be made of any other."""
 
 from collections.abc import Callable
 
@@ -19,8 +19,8 @@ def stack() -> PiecesEnv:
     return StackConfig().build()
 
 
-def robosuite_says(env: PiecesEnv) -> bool:
-    """What robosuite's own environment calls success in the state that the world is in."""
+def robosuite_success(env: PiecesEnv) -> bool:
+    """What robosuite's own environment calls success in the state that the environment is in."""
     their_env = env.robosuite
     their_env.sim.data.qpos[:] = env.data.qpos
     their_env.sim.forward()
@@ -42,7 +42,7 @@ def test_lifted_is_what_robosuite_calls_lifted(height: float) -> None:
     start = env.achieved()
     env.put("cube_joint0", [0.0, 0.0, height], [1, 0, 0, 0])
     env._refresh()
-    assert env.tasks["lift_cube"].judge(start, env.achieved(), start) == robosuite_says(env)
+    assert env.tasks["lift_cube"].judge(start, env.achieved(), start) == robosuite_success(env)
 
 
 def test_stacked_is_what_robosuite_calls_stacked(stack: PiecesEnv) -> None:
@@ -56,9 +56,9 @@ def test_stacked_is_what_robosuite_calls_stacked(stack: PiecesEnv) -> None:
             stack.refresh()
         on_top = stack.achieved().copy()
         on_top[:2], on_top[2] = on_top[5:7], on_top[7] + 0.045
-        judged = task.judge(stack.achieved(), stack.achieved(), on_top)
-        assert judged == robosuite_says(stack), seed
-        agreed.add(judged)
+        success = task.judge(stack.achieved(), stack.achieved(), on_top)
+        assert success == robosuite_success(stack), seed
+        agreed.add(success)
     assert agreed == {True, False}
 
 

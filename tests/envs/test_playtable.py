@@ -1,4 +1,4 @@
-"""Laws of the PlayTable world: what is saved is restored, what is refused leaves no trace, starts are sound."""
+"""Laws of the PlayTable environment: what is saved is restored, what is refused leaves no trace, starts are sound."""
 
 import numpy as np
 import pytest
@@ -86,34 +86,36 @@ def test_starts_are_at_rest_and_free_of_collisions(env: PlayTableEnv) -> None:
 
 @pytest.mark.slow
 def test_starts_show_all_that_the_table_has(env: PlayTableEnv) -> None:
-    """Of 120 starts, each share that the config names comes true within four standard errors."""
+    """Of 120 starts, each fraction that the config names comes true within four standard errors."""
     starts = []
     for seed in range(120):
         env.reset(seed)
         starts.append(env.achieved())
-    for of, share in {
+    for of, fraction in {
         in_tray: env.config.stowed,
         in_bay: env.config.shelved,
         lambda a, i: supporter(a, i) is not None: env.config.stacked * (1 - 0.2 * 0.25),  # no block is left for it
     }.items():
         seen = np.mean([any(of(start, i) for i in range(3)) for start in starts])
-        assert abs(seen - share) < 4 * np.sqrt(share * (1 - share) / 120)
+        assert abs(seen - fraction) < 4 * np.sqrt(fraction * (1 - fraction) / 120)
     for index in (DRAWER, SLIDER, LEVER, LED, BULB):
         assert np.ptp([start[index] for start in starts]) > 0.15, ACHIEVED_NAMES[index]
 
 
 @pytest.mark.parametrize(
-    ("action", "says"),
+    ("action", "message"),
     [
         (np.full(7, np.nan), "not finite"),
         (np.zeros(6), "shape"),
         (np.full(7, 1.5), r"\[-1, 1\]"),
     ],
 )
-def test_a_bad_action_is_refused_and_leaves_the_world_alone(env: PlayTableEnv, action: np.ndarray, says: str) -> None:
+def test_a_bad_action_is_refused_and_leaves_the_state_alone(
+    env: PlayTableEnv, action: np.ndarray, message: str
+) -> None:
     env.reset(0)
     before = env.sim_state()
-    with pytest.raises(ActionError, match=says):
+    with pytest.raises(ActionError, match=message):
         env.step(action)
     np.testing.assert_array_equal(env.sim_state(), before)
 

@@ -1,4 +1,4 @@
-"""Whoever drives: the expert reaches what is asked, play is what it says of itself."""
+"""The scripted actors: the expert reaches its goals, play is what its config says."""
 
 from collections.abc import Callable
 
@@ -41,14 +41,14 @@ def begin(env: PlayTableEnv, name: str, seed: int) -> tuple[np.ndarray, np.ndarr
     pytest.fail(f"{name}: no start in 20 draws")
 
 
-def drive(env: PlayTableEnv, goal: np.ndarray, steps: int, content: Callable[[np.ndarray], bool]) -> bool:
-    """Whether the expert brings the world to where `content` holds for a quarter of a second."""
+def solves(env: PlayTableEnv, goal: np.ndarray, steps: int, solved: Callable[[np.ndarray], bool]) -> bool:
+    """Whether the expert brings the table to where `solved` holds for a quarter of a second."""
     expert = expert_for(env)
     expert.reset([Goal(goal)], [0])
     held = 0
     for _ in range(steps):
         env.step(expert.act([env.observe()], [True])[0].action)
-        held = held + 1 if content(env.achieved()) else 0
+        held = held + 1 if solved(env.achieved()) else 0
         if held == 5:
             return True
     return False
@@ -86,7 +86,7 @@ def test_the_expert_does_every_kind_of_task(env: PlayTableEnv, name: str) -> Non
 
     def done(seed: int) -> bool:
         start, goal = begin(env, name, seed)
-        return drive(env, goal, 200, lambda now: task.judge(start, now, goal))
+        return solves(env, goal, 200, lambda now: task.judge(start, now, goal))
 
     assert often((done(seed) for seed in range(4)), done=1)
 
@@ -153,7 +153,7 @@ def brought(env: PlayTableEnv, start: Callable[[PlayTableEnv, int], np.ndarray],
     """Whether the expert makes what it is shown of that start."""
     goal = start(env, seed)
     assert not env.reached(env.achieved(), goal)
-    return drive(env, goal, FAR[start], lambda now: env.reached(now, goal))
+    return solves(env, goal, FAR[start], lambda now: env.reached(now, goal))
 
 
 @pytest.mark.slow
@@ -170,13 +170,13 @@ def pressed_twice(env: PlayTableEnv, seed: int) -> bool:
     """Pressed once, the lamp will not change again while the button is held down: it has to be let up first."""
     lit = arranged(env, seed)
     lit[LED] = 1 - lit[LED]
-    if not drive(env, lit, 150, lambda now: bool(now[LED] == lit[LED])):
+    if not solves(env, lit, 150, lambda now: bool(now[LED] == lit[LED])):
         return False
     for _ in range(3):
         env.step(np.array([0, 0, -0.6, 0, 0, 0, 1.0]))
     back = env.achieved()
     back[LED] = 1 - back[LED]
-    return drive(env, back, 150, lambda now: bool(now[LED] == back[LED]))
+    return solves(env, back, 150, lambda now: bool(now[LED] == back[LED]))
 
 
 def test_the_expert_lets_a_pressed_button_up_before_it_presses_again(env: PlayTableEnv) -> None:
@@ -208,14 +208,14 @@ def test_play_without_noise_or_mistakes_executes_its_labels(env: PlayTableEnv) -
 def test_mistakes_change_what_is_done_and_not_what_was_meant(env: PlayTableEnv) -> None:
     clumsy = play(env, 4, 40, PlayConfig(noise=0.0, pause=0.0, mistake=1.0, slip=0.0))
     strayed = np.abs(clumsy.action - clumsy.expert_action).max(axis=1)
-    assert strayed[:20].max() > 0.3  # acts on a place 3 cm or more from where things are
+    assert strayed[:20].max() > 0.3  # acts on a place 3 cm or more from where objects are
     seen = clumsy.expert_action
     assert np.isfinite(seen).all()
     assert np.abs(seen).max() <= 1
 
 
-def test_play_changes_the_world_in_many_ways(env: PlayTableEnv) -> None:
-    """Until four kinds of skill were tried, a block was moved and the hand got about: of some ten tries two suffice."""
+def test_play_changes_the_table_in_many_ways(env: PlayTableEnv) -> None:
+    """Until four kinds of skill were tried, a block was moved and the gripper moved about: two tries suffice."""
     skills, moved, about = set(), 0.0, 0.0
     for seed in range(10):
         episode = play(env, 10 + seed, 300, PlayConfig())

@@ -1,4 +1,4 @@
-"""Laws of the Wipe world: marks go where robosuite says they go, and never come back."""
+"""Laws of the Wipe environment: marks go where robosuite says they go, and never come back."""
 
 import numpy as np
 import pytest

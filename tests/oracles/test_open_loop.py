@@ -41,7 +41,7 @@ def test_it_passes_its_waypoints_and_lasts_as_long_as_it_said() -> None:
     places, _ = follow(made)
     for stop in TAKE:
         assert np.linalg.norm(places - stop.position, axis=1).min() < 0.012
-    # Waiting for a late hand adds at most 10 steps at the one stop.
+    # Waiting for a late end effector adds at most 10 steps at the one stop.
     assert expected <= len(places) <= expected + 15
 
 
@@ -63,12 +63,12 @@ def test_speed_is_smooth_and_scales_with_the_style() -> None:
     assert np.abs(np.diff(actions[:, :3], axis=0)).max() < 0.25
 
 
-def test_a_bow_bends_the_way_and_not_its_ends() -> None:
+def test_path_noise_bends_the_path_and_not_its_ends() -> None:
     straight, _ = follow(plan())
     bent = [follow(plan(seed, path_noise=0.1))[0] for seed in range(8)]
     ways = np.array([np.abs(places[:40, 1]).max() for places in bent])
     assert np.abs(straight[:, 1]).max() < 1e-9
-    # Of a leg of 0.3 m a spread of 0.1 is 3 cm; eight draws of a Gaussian are all below 4 spreads.
+    # Of a leg of 0.3 m a std of 0.1 is 3 cm; eight draws of a Gaussian are all below 4 std.
     assert 0.01 < np.median(ways) < 0.12
     assert all(np.linalg.norm(places - TAKE[1].position, axis=1).min() < 0.012 for places in bent)
 

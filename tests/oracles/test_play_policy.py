@@ -1,4 +1,4 @@
-"""Play is what its config says: shares, labels, marks; on a table of one cube and an arm that answers at once."""
+"""Play is what its config says: probabilities, labels, marks; one cube on a table, an arm that obeys at once."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ NOTHING = PlayConfig(noise=0.0, pause=0.0, idle=0.0, mistake=0.0, slip=0.0)
 
 @dataclass(frozen=True)
 class Cube:
-    """A `Thing`: achieved (3,) is its center."""
+    """A `GraspableObject`: achieved (3,) is its center."""
 
     symmetry: float = 0.0
 
@@ -67,14 +67,14 @@ class OneCube:
 
 
 def play(config: PlayConfig, steps: int = 2000, seed: int = 0) -> tuple[list[Decision], Array]:
-    """Decisions, and the cube's places (steps, 3). A hand makes a quarter of what is asked; a cube falls at once."""
-    player = PlayPolicy(OneCube(), config)
-    player.reset([None], [seed])
+    """Decisions, and the cube's places (steps, 3). The gripper moves a quarter of the action; a cube falls at once."""
+    policy = PlayPolicy(OneCube(), config)
+    policy.reset([None], [seed])
     hand, opening, cube = np.array([0.0, 0.0, 0.1]), 0.08, np.zeros(3)
     decisions, places = [], []
     for _ in range(steps):
         state = np.array([*hand, 0, 1, 0, 1, 0, 0, opening], np.float32)
-        (decision,) = player.act([Observation(state, cube.astype(np.float32))], [True])
+        (decision,) = policy.act([Observation(state, cube.astype(np.float32))], [True])
         grip = decision.action[-1]
         within = np.linalg.norm(hand - cube) < 0.02
         held = within and opening < 0.045
@@ -103,8 +103,8 @@ def test_nothing_asked_for_nothing_done() -> None:
     assert np.ptp(places[:, :2], axis=0).min() > 0.1, "the cube is carried about"
 
 
-def test_plans_and_their_bows_are_meant() -> None:
-    """A open_loop step is its own label, however bent the plan; and plans, too, carry the cube about."""
+def test_plans_and_their_noise_are_meant() -> None:
+    """An open-loop step is its own label, however bent the plan; and plans, too, carry the cube about."""
     decisions, places = play(dataclasses.replace(NOTHING, open_loop=1.0, path_noise=0.1))
     assert marked(decisions, "open_loop").mean() > 0.6
     assert strayed(decisions).max() == 0
@@ -112,7 +112,7 @@ def test_plans_and_their_bows_are_meant() -> None:
 
 
 def test_noise_is_executed_and_not_meant() -> None:
-    """AR(1): its spread at full speed is the config's, and one step remembers `drift` of the last."""
+    """AR(1): its std at full speed is the config's, and `noise_autocorrelation` of it stays from step to step."""
     decisions, _ = play(dataclasses.replace(NOTHING, noise=0.1, noise_autocorrelation=0.8), steps=6000)
     noise = np.array([d.action - d.label for d in decisions])[:, 0]
     speed = np.array([np.linalg.norm(d.label[:3]) for d in decisions])
@@ -129,7 +129,7 @@ def test_a_mistake_is_marked_mended_and_labeled_with_what_was_right(open_loop: f
     decisions, places = play(config)
     wrong = marked(decisions, "mistake")
     assert 0.2 < wrong.mean() < 0.95
-    assert strayed(decisions)[wrong].max() > 0.3  # acts on a place 3 cm or more from where things are
+    assert strayed(decisions)[wrong].max() > 0.3  # acts on a place 3 cm or more from where objects are
     assert strayed(decisions)[~wrong].max() == 0
     assert np.ptp(places[:, :2], axis=0).min() > 0.1, "every mistake is mended: the cube still gets about"
 
@@ -143,7 +143,7 @@ def test_a_pause_stands_still_as_long_as_it_may() -> None:
     assert set(lengths[:-1]) == {6, 7, 8}  # from 6, below 9; the last may be cut
 
 
-def test_a_slip_opens_the_hand_and_the_label_does_not() -> None:
+def test_a_slip_opens_the_gripper_and_the_label_does_not() -> None:
     decisions, _ = play(dataclasses.replace(NOTHING, slip=1.0))
     slipping = [d for d, slip in zip(decisions, marked(decisions, "slip"), strict=True) if slip]
     assert len(slipping) > 20
@@ -175,14 +175,14 @@ def test_weights_decide_how_often_each_kind_is_tried() -> None:
 
 
 @pytest.mark.parametrize(
-    ("weights", "words"),
+    ("weights", "message"),
     [
         ({"plase": 1.0}, "no kind of skill 'plase' here; did you mean `place`"),
         ({"place": 0.0, "point": 0.0}, "leave nothing to do: give one of place, point a weight above 0"),
     ],
 )
-def test_weights_that_nobody_can_follow_are_named(weights: dict[str, float], words: str) -> None:
-    with pytest.raises(UsageError, match=words):
+def test_weights_that_nobody_can_follow_are_named(weights: dict[str, float], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
         PlayPolicy(OneCube(), PlayConfig(weights=weights))
 
 

@@ -1,4 +1,4 @@
-"""The same actions from the same state give robosuite's own trajectory, whatever the arm, the hand and the task."""
+"""The same actions from the same state give robosuite's own trajectory, whatever the arm, the gripper and the task."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import robosuite
 
-from playlearn.envs.tabletop import chance
+from playlearn.envs.tabletop import numpy_seeded_from
 from playlearn.sim.robosuite_env import _SAVED, RobosuiteEnv
 
 STEPS = 200
@@ -33,7 +33,9 @@ class Bare(RobosuiteEnv):
             self.theirs.rng = np.random.default_rng(0)  # from the next reset on
             return self.theirs
 
-        with chance(np.random.default_rng(0)):  # where the cubes lie; from here the fingers meet them 30 times or more
+        with numpy_seeded_from(
+            np.random.default_rng(0)
+        ):  # where the cubes lie; from here the fingers meet them 30 times or more
             super().__init__(build, ("none",), {}, 0, lambda _model, _extra: None)
         self.cube = {"Lift": "cube_main", "Stack": "cubeA_main"}[task]
 
@@ -79,7 +81,7 @@ def touches(env: Bare) -> bool:
 def test_a_trajectory_is_robosuites_own(robot: str, task: str) -> None:
     """200 control steps are 5,000 of physics, with fingers and cubes in contact.
 
-    1e-8 is what was promised; here it is 0, and it has to be: in a hand such as the UR5e's, whose own fingers
+    1e-8 is what was promised; here it is 0, and it has to be: in a gripper such as the UR5e's, whose own fingers
     touch, rounding errors of 1e-13 become millimeters within a control step. Only the same arithmetic helps.
     """
     env = Bare(task, robot)

@@ -1,4 +1,4 @@
-"""Laws of a step: it is a function of the world's own state and action, whoever else steps in this process."""
+"""Laws of a step: it is a function of the environment's own state and action, whoever else steps in this process."""
 
 import threading
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A person at the controls: robosuite's own devices, real time, and a store that holds what was played."""
+"""A teleoperator: robosuite's own devices, real time, and a store that holds what was played."""
 
 import shutil
 import subprocess
@@ -24,16 +24,16 @@ STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class Scripted:
-    """Follows robosuite's `Device`: what it says next stands in a list, (motion (6,), grasp, reset); then it rests."""
+    """Follows robosuite's `Device`: what it gives next stands in a list, (motion (6,), grasp, reset); then it rests."""
 
-    def __init__(self, says: list[tuple[tuple[float, ...], bool, bool]]) -> None:
-        self._says, self.started = iter(says), 0
+    def __init__(self, inputs: list[tuple[tuple[float, ...], bool, bool]]) -> None:
+        self._inputs, self.started = iter(inputs), 0
 
     def start_control(self) -> None:
         self.started += 1
 
     def get_controller_state(self) -> Mapping[str, Any]:
-        motion, grasp, reset = next(self._says, (STILL, False, False))
+        motion, grasp, reset = next(self._inputs, (STILL, False, False))
         # raw_drotation's order and signs are undone by `read`: see robosuite's `Device.input2action`.
         turn = np.array([motion[4], motion[3], -motion[5]])
         return {"dpos": np.array(motion[:3]), "raw_drotation": turn, "grasp": int(grasp), "reset": int(reset)}
@@ -50,13 +50,13 @@ class Looking:
         self.looks = 0
         self.shown: list[tuple[tuple[int, ...], str]] = []
 
-    def show(self, image: Array, words: str) -> None:
-        self.shown.append((image.shape, words))
+    def show(self, image: Array, text: str) -> None:
+        self.shown.append((image.shape, text))
         self._look()
 
     def wish(self) -> Wish | None:
         self.looks += 1
-        assert self.looks < 1000, "nobody is there any more"
+        assert self.looks < 1000, "the teleoperator is gone"
         return self._wishes.get(self.looks)
 
 
@@ -104,10 +104,10 @@ def actor(device: Scripted, environment: Environment, screen: Looking, clock: Cl
     return DeviceActor(device, "keyboard", environment, screen, clock=clock or Ticking(), size=(48, 64))
 
 
-def test_what_a_person_played_is_stored_and_replays_bit_for_bit(tmp_path: Path, playtable: Any) -> None:
+def test_what_a_teleoperator_played_is_stored_and_replays_bit_for_bit(tmp_path: Path, playtable: Any) -> None:
     """Two episodes of 8 steps: executed is recorded and is the label; from the first state on they come out again."""
-    says = [(STILL, False, False)] * 3 + moving(40)
-    record_by_hand(CONFIG, tmp_path / "play", playtable, actor(Scripted(says), playtable, Looking()))
+    inputs = [(STILL, False, False)] * 3 + moving(40)
+    record_by_hand(CONFIG, tmp_path / "play", playtable, actor(Scripted(inputs), playtable, Looking()))
     store = NativeStore.open(tmp_path / "play")
     assert store.indices().tolist() == [0, 1]
     assert store.verify() == []
@@ -121,7 +121,7 @@ def test_what_a_person_played_is_stored_and_replays_bit_for_bit(tmp_path: Path, 
             playtable.step(action)
             np.testing.assert_array_equal(playtable.sim_state(), episode.sim_state[t + 1])
     first = store.read(0)
-    expected = [(*motion, 1.0 if grasp else -1.0) for motion, grasp, _ in says[3:11]]
+    expected = [(*motion, 1.0 if grasp else -1.0) for motion, grasp, _ in inputs[3:11]]
     np.testing.assert_array_equal(first.action, np.array(expected, np.float32))  # the pause before it is no play
     scripted = CollectConfig(episodes=1, steps=2)
     collect(scripted, tmp_path / "scripted", workers=0)
@@ -135,11 +135,11 @@ def test_keys_keep_throw_away_and_leave(tmp_path: Path, playtable: Any) -> None:
     A look is a tick: one that begins an episode, then one after each step.
     """
     keys = {4: Wish.KEEP, 7: Wish.DISCARD}
-    says = [*moving(11), (STILL, False, True)]
+    inputs = [*moving(11), (STILL, False, True)]
     committed: list[int] = []
     out = tmp_path / "play"
     screen = Looking(keys, lambda: committed.append(len(list(out.glob("episodes/*.safetensors")))))
-    record_by_hand(CONFIG, out, playtable, actor(Scripted(says), playtable, screen))
+    record_by_hand(CONFIG, out, playtable, actor(Scripted(inputs), playtable, screen))
     store = NativeStore.open(out)
     assert store.lengths().tolist() == [3, 4]
     assert [store.meta(i).ended for i in range(2)] == ["stopped", "stopped"]
@@ -151,7 +151,7 @@ def test_leaving_keeps_what_was_begun_and_resume_goes_on(tmp_path: Path, playtab
     record_by_hand(CONFIG, out, playtable, actor(Scripted(moving(9)), playtable, Looking({4: Wish.LEAVE})))
     assert NativeStore.open(out).lengths().tolist() == [3]
     record_by_hand(CONFIG, out, playtable, actor(Scripted([]), playtable, Looking({5: Wish.LEAVE})), resume=True)
-    assert len(NativeStore.open(out)) == 1, "nobody had moved"
+    assert len(NativeStore.open(out)) == 1, "nothing had been moved"
     record_by_hand(CONFIG, out, playtable, actor(Scripted(moving(20)), playtable, Looking()), resume=True)
     assert NativeStore.open(out).lengths().tolist() == [3, 8]
 
@@ -173,10 +173,10 @@ def test_steps_come_in_real_time_even_where_drawing_is_slow(tmp_path: Path, play
         assert np.diff(looks).max() < 0.5, "the picture stays fresh"
 
 
-def test_one_person_plays_in_one_world_with_a_hand(playtable: Any) -> None:
+def test_one_teleoperator_plays_in_one_environment_with_an_arm(playtable: Any) -> None:
     from tests.fakes import PointConfig, PointEnv
 
-    with pytest.raises(ValueError, match="one person"):
+    with pytest.raises(ValueError, match="one teleoperator"):
         actor(Scripted([]), playtable, Looking()).reset([None, None], [0, 1])
     with pytest.raises(UsageError, match="7 numbers"):
         actor(Scripted([]), PointEnv(PointConfig()), Looking())
@@ -329,10 +329,10 @@ from playlearn.envs import PlayTableConfig
 from playlearn.teleop.device import Wish
 from playlearn.teleop.window import Window
 import glfw
-world = PlayTableConfig().build()
+env = PlayTableConfig().build()
 with Window("test", 96, 128) as window:
     for _ in range(3):  # two contexts in one thread, by turns
-        window.show(world.render("front", 96, 128), "hello")
+        window.show(env.render("front", 96, 128), "hello")
         assert window.wish() is None
     for key, wish in ((glfw.KEY_ENTER, Wish.KEEP), (glfw.KEY_BACKSPACE, Wish.DISCARD), (glfw.KEY_ESCAPE, Wish.LEAVE)):
         window._pressed(None, key, 0, glfw.PRESS, 0)

@@ -1,4 +1,4 @@
-"""OGBench's manipulation worlds, its play and its evaluation; they need the extra `ogbench`."""
+"""OGBench's manipulation environments, its play and its evaluation; they need the extra `ogbench`."""
 
 from playlearn.envs.ogbench.config import OgbenchCubeConfig, OgbenchPlayConfig, OgbenchSceneConfig
 

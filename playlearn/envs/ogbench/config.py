@@ -1,4 +1,4 @@
-"""The configs of OGBench's worlds and of their play; its package is needed where one is built, not before."""
+"""The configs of OGBench's environments and of its play; its package is needed only to build one."""
 
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Self
@@ -21,16 +21,17 @@ def needed() -> None:
         import ogbench  # noqa: F401
     except ImportError as error:
         raise UsageError(
-            f"OGBench's worlds need the extra `ogbench`: pip install 'playlearn[ogbench]' ({error})"
+            f"OGBench's environments need the extra `ogbench`: pip install 'playlearn[ogbench]' ({error})"
         ) from error
 
 
 @dataclass(frozen=True)
 class OgbenchConfig(EnvironmentConfig):
-    """cameras: `front`, OGBench's own view of its pixel worlds, and the size of the images.
+    """What OGBench's environments share.
 
-    see_through: draw the arm all but transparent, as OGBench's pixel worlds do. exact: draw every pixel as OGBench
-    does, some 15 times slower than with meshes as fine as the image can show.
+    cameras: `front`, OGBench's own view of its pixel environments, and the size of the images.
+    see_through: draw the arm all but transparent, as OGBench's pixel environments do.
+    exact: draw every pixel as OGBench does, some 15 times slower than with meshes as fine as the image can show.
     """
 
     cameras: dict[str, CameraConfig] = field(default_factory=lambda: {"front": CameraConfig(64, 64)})
@@ -40,13 +41,16 @@ class OgbenchConfig(EnvironmentConfig):
     def __post_init__(self) -> None:
         for name in self.cameras:
             if name != "front":
-                raise UsageError(f"cameras: OGBench's worlds have no camera {name!r}, only `front`")
+                raise UsageError(f"cameras: OGBench's environments have no camera {name!r}, only `front`")
 
 
 @EnvironmentConfig.register_subclass("ogbench_cube")
 @dataclass(frozen=True)
 class OgbenchCubeConfig(OgbenchConfig):
-    """cubes: 1 is cube-single, 2 cube-double, 3 cube-triple, 4 cube-quadruple."""
+    """OGBench's cube environments.
+
+    cubes: 1 is cube-single, 2 cube-double, 3 cube-triple, 4 cube-quadruple.
+    """
 
     cubes: int = 1
 
@@ -59,13 +63,16 @@ class OgbenchCubeConfig(OgbenchConfig):
         needed()
         from playlearn.envs.ogbench.cube import OgbenchCubeEnv
 
-        return OgbenchCubeEnv(self)
+        return OgbenchCubeEnv(self, self.cubes, self.cameras, see_through=self.see_through, exact=self.exact)
 
 
 @EnvironmentConfig.register_subclass("ogbench_scene")
 @dataclass(frozen=True)
 class OgbenchSceneConfig(OgbenchConfig):
-    """unseen: end an episode whose cube leaves the view without being in the drawer: OGBench keeps no such play."""
+    """OGBench's scene.
+
+    unseen: end an episode whose cube leaves the view without being in the drawer: OGBench keeps no such play.
+    """
 
     unseen: bool = False
 
@@ -73,13 +80,19 @@ class OgbenchSceneConfig(OgbenchConfig):
         needed()
         from playlearn.envs.ogbench.scene import OgbenchSceneEnv
 
-        return OgbenchSceneEnv(self)
+        return OgbenchSceneEnv(
+            self, self.cameras, see_through=self.see_through, exact=self.exact, end_unseen=self.unseen
+        )
 
 
 @PlayPolicyConfig.register_subclass("ogbench")
 @dataclass(frozen=True)
 class OgbenchPlayConfig(PlayPolicyConfig):
-    """noise, smoothing: of an oracle's plan, drawn once for each; OGBench's own."""
+    """OGBench's own play.
+
+    noise: of an oracle's plan, drawn once for each.
+    smoothing: of that noise along the plan.
+    """
 
     noise: float = 0.1
     smoothing: float = 0.5
@@ -92,7 +105,7 @@ class OgbenchPlayConfig(PlayPolicyConfig):
         needed()
         from playlearn.envs.ogbench.play_policy import OgbenchPlayPolicy
 
-        return OgbenchPlayPolicy(environment, self)
+        return OgbenchPlayPolicy(environment, self.noise, self.smoothing)
 
     def noisier(self, noise: float) -> Self:
         return replace(self, noise=max(noise, self.noise))

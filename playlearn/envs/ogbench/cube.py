@@ -1,7 +1,7 @@
-"""OGBench's cube worlds: one to four cubes on a table.
+"""OGBench's cube environments: one to four cubes on a table.
 
 `achieved` (5 n,): block_i.x y z c s, as `playlearn.envs.pieces` has them: meters and (cos, sin)(4 yaw), the same after
-every quarter turn. OGBench's observation tells quaternion and yaw instead, its goals of objects x y z alone.
+every quarter turn. OGBench's observation has quaternion and yaw instead, its goals have x y z alone.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,28 +12,35 @@ import numpy as np
 from ogbench.manipspace.envs.cube_env import CubeEnv
 from ogbench.manipspace.oracles.plan.cube_plan import CubePlanOracle
 
-from playlearn.envs.ogbench.config import OgbenchCubeConfig
 from playlearn.envs.ogbench.env import TOLERANCE, OgbenchEnv, Oracle
 from playlearn.envs.pieces.env import yaw_code
 from playlearn.episode import Array
-from playlearn.sim.environment import Task
+from playlearn.sim.environment import CameraConfig, EnvironmentConfig, Task
 
 PARTS = ("x", "y", "z", "c", "s")
 KINDS = ("single", "double", "triple", "quadruple")
-_STACKING = ((0.0, 0.0), (0.0, 0.25), (0.05, 0.35), (0.1, 0.5))  # between which an episode's chance is drawn
+_STACKING = ((0.0, 0.0), (0.0, 0.25), (0.05, 0.35), (0.1, 0.5))  # between which an episode's probability is drawn
 
 
 class OgbenchCubeEnv(OgbenchEnv):
     """See the module's docstring."""
 
-    config: OgbenchCubeConfig
-
-    def __init__(self, config: OgbenchCubeConfig) -> None:
-        names = [f"block_{i}.{part}" for i in range(config.cubes) for part in PARTS]
-        super().__init__(config, CubeEnv, names, env_type=KINDS[config.cubes - 1])
+    def __init__(
+        self,
+        config: EnvironmentConfig,
+        cubes: int,
+        cameras: Mapping[str, CameraConfig],
+        *,
+        see_through: bool = True,
+        exact: bool = False,
+    ) -> None:
+        self._cubes = cubes
+        names = [f"block_{i}.{part}" for i in range(cubes) for part in PARTS]
+        kind = KINDS[cubes - 1]
+        super().__init__(config, CubeEnv, names, cameras, see_through=see_through, exact=exact, env_type=kind)
 
     def _achieved(self) -> Array:
-        return np.concatenate([block(self.model, self.data, i) for i in range(self.config.cubes)])
+        return np.concatenate([block(self.model, self.data, i) for i in range(self._cubes)])
 
     def reached(self, achieved: Array, goal: Array) -> bool:
         return bool((np.linalg.norm(places(achieved) - places(goal), axis=1) <= TOLERANCE).all())
@@ -42,7 +49,7 @@ class OgbenchCubeEnv(OgbenchEnv):
         return {"cube": CubePlanOracle(env=self.env, noise=noise, noise_smoothing=smoothing)}
 
     def stacking(self, rng: np.random.Generator) -> float:
-        return float(rng.uniform(*_STACKING[self.config.cubes - 1]))
+        return float(rng.uniform(*_STACKING[self._cubes - 1]))
 
     def _task(self, info: Mapping[str, Any]) -> Task:
         begins, ends = info["init_xyzs"], info["goal_xyzs"]  # (n, 3) m each, of the cubes in any order

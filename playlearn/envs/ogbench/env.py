@@ -1,18 +1,18 @@
-"""OGBench's manipulation worlds (Park et al., 2024, arXiv:2410.20092) behind the Environment contract.
+"""OGBench's manipulation environments (Park et al., 2024, arXiv:2410.20092) behind the Environment contract.
 
 The scene, the arm's inverse kinematics, start states, tasks and their goals are OGBench's own code; the loop around
 MuJoCo is ours, because its `step` computes every observation three times. Bit for bit it does what theirs does: of
-the hand's pose, which its control reads, MuJoCo leaves the one of a substep ago, so that is kept and saved here too.
+the end effector's pose, which its control reads, MuJoCo leaves the one of a substep ago: it is saved here too.
 
-`observation.state` (19,), all that OGBench tells of the robot, in SI units:
+`observation.state` (19,), all of OGBench's robot observation, in SI units:
 
-    eef.x eef.y eef.z eef.c eef.s    meters, (cos, sin) yaw of the hand
+    eef.x eef.y eef.z eef.c eef.s    meters, (cos, sin) yaw of the end effector
     gripper.opening                  meters, 0 shut .. 0.085
     gripper.contact                  0 .. 1, the force on a finger, 50 N and more are 1
     arm.q0 ... arm.q5                rad
     arm.v0 ... arm.v5                rad/s
 
-Actions (5,): 0.05 m, 0.3 rad of yaw and a whole opening, relative to where the hand is; gripper +1 closes.
+Actions (5,): 0.05 m, 0.3 rad of yaw and a whole opening, relative to where the end effector is; gripper +1 closes.
 """
 
 import copy
@@ -25,12 +25,11 @@ import numpy as np
 from ogbench.manipspace import mjcf_utils
 from ogbench.manipspace.envs.manipspace_env import ManipSpaceEnv
 
-from playlearn.envs.ogbench.config import OgbenchConfig
 from playlearn.envs.ogbench.picture import Pictures
 from playlearn.episode import Array, Observation
 from playlearn.errors import UsageError
 from playlearn.sim.checks import check_physics, checked_action
-from playlearn.sim.environment import EnvironmentSpec, Task
+from playlearn.sim.environment import CameraConfig, EnvironmentConfig, EnvironmentSpec, Task
 from playlearn.sim.rendering.gl import backend
 from playlearn.sim.rendering.renderer import Renderer
 from playlearn.sim.rendering.simplify import VISUAL_GROUP
@@ -41,7 +40,7 @@ _SHUT = 0.8  # rad of the gripper's joint
 _HARD = 50.0  # newtons
 _SAVED = int(mujoco.mjtState.mjSTATE_FULLPHYSICS | mujoco.mjtState.mjSTATE_WARMSTART | mujoco.mjtState.mjSTATE_CTRL)
 _SHOWN, _HIDDEN = 2, 5  # the last group of what is drawn, and one of what is not
-_HAND = 13  # numbers kept of the hand beside MuJoCo's state: position, rotation, contact
+_HAND = 13  # numbers kept of the end effector beside MuJoCo's state: position, rotation, contact
 
 
 class Oracle(Protocol):
@@ -54,29 +53,43 @@ class Oracle(Protocol):
 
 
 class OgbenchEnv:
-    """What its worlds share.
+    """What its environments share.
 
-    kind: of OGBench's environment; options go to its constructor. switches: how many things have states that MuJoCo
-    does not know.
+    config: builds the same environment again; on record only, nothing else is read from it.
+    kind: class of OGBench's environment; `options` go to its constructor.
+    achieved_names: what `_achieved` returns.
+    cameras: name -> size of the images.
+    see_through: draw the arm all but transparent.
+    exact: draw every pixel as OGBench does.
+    switches: number of states that MuJoCo does not hold (a pressed button).
 
-    A subclass offers `_achieved`, `reached`, `_task` and `oracles`, and may override `failure` and what follows it.
+    A subclass implements `_achieved`, `reached`, `_task` and `oracles`, and may override `failure` and what follows it.
     """
 
     tasks: Mapping[str, Task]
 
     def __init__(
-        self, config: OgbenchConfig, kind: type, achieved_names: Sequence[str], switches: int = 0, **options: Any
+        self,
+        config: EnvironmentConfig,
+        kind: type,
+        achieved_names: Sequence[str],
+        cameras: Mapping[str, CameraConfig],
+        *,
+        see_through: bool,
+        exact: bool,
+        switches: int = 0,
+        **options: Any,
     ) -> None:
-        self.config, self._switches = config, switches
+        self.config, self._cameras, self._draws_exactly, self._switches = config, dict(cameras), exact, switches
         self.env = _reproducible(kind)(
             mode="task",  # only so does it know its tasks
             visualize_info=False,
             terminate_at_goal=False,
-            pixel_transparent_arm=config.see_through,
+            pixel_transparent_arm=see_through,
             **options,
         )
         self.env.saved = lambda: None
-        self.env._ob_type = "pixels"  # the scene of its pixel worlds: other colors
+        self.env._ob_type = "pixels"  # the scene of its pixel environments: other colors
         self.env._mjcf_model = self.env.build_mjcf_model()
         self.env._ob_type, self.env._mode = "states", "data_collection"
         self.env.reset(seed=0)
@@ -93,13 +106,13 @@ class OgbenchEnv:
             state_names=STATE_NAMES,
             achieved_names=tuple(achieved_names),
             action_names=ACTION_NAMES,
-            cameras=tuple(config.cameras),
+            cameras=tuple(cameras),
             fps=1.0 / self.env.control_timestep(),
             controller={"type": "OGBench", "robot": "UR5e", "output_max": self.env.action_high.tolist()},
         )
         self.tasks = {info["task_name"]: self._task(info) for info in self.env.task_infos}
 
-    # What a subclass says ---------------------------------------------------------------------------
+    # What a subclass implements -----------------------------------------------------------------------
 
     def _achieved(self) -> Array:
         raise NotImplementedError
@@ -123,13 +136,13 @@ class OgbenchEnv:
         return None
 
     def _apply(self) -> None:
-        """Let the model, which clones share, be as this world's switches have it."""
+        """Bring the model, which clones share, in line with this environment's switches."""
 
     def _paint(self, model: mujoco.MjModel, kept: Array) -> None:
-        """Show on a model of the scene how things are switched."""
+        """Show the switches on a model of the scene."""
 
     def _forget(self) -> None:
-        """OGBench is about to switch things itself."""
+        """OGBench is about to set the switches itself."""
 
     def _after_step(self, before: Array) -> None:
         """What MuJoCo does not do by itself; before (nq,): the positions a step ago."""
@@ -174,7 +187,7 @@ class OgbenchEnv:
         return state
 
     def set_state(self, sim_state: Array) -> None:
-        """Of a world of ours, or of a row of OGBench's datasets (see `playlearn.store.ogbench`)."""
+        """Restore `sim_state`, or a row of OGBench's datasets (see `playlearn.store.ogbench`)."""
         size, coordinates = mujoco.mj_stateSize(self.model, _SAVED), self.model.nq + self.model.nv
         expected = size + _HAND + self._switches
         if sim_state.shape == (coordinates + self._switches,):
@@ -213,10 +226,10 @@ class OgbenchEnv:
         return Observation(state, self._achieved().astype(np.float32), images, float(self.data.time))
 
     def render(self, camera: str, height: int | None = None, width: int | None = None) -> Array:
-        size = self.config.cameras[camera]
+        size = self._cameras[camera]
         height, width, view = height or size.height, width or size.width, f"{camera}_pixels"
         self._apply()
-        if self.config.exact:
+        if self._draws_exactly:
             return self._exact.draw(self.data, view, height, width)
         return self._quick.draw(self.data.qpos, self._kept(), view, height, width)
 
@@ -247,11 +260,11 @@ class OgbenchEnv:
         self._contact = 0.0
 
     def _feel(self) -> None:
-        """Read the force on a finger, which a restored state could not tell."""
+        """Read the force on a finger, which a restored state does not hold."""
         self._contact = float(np.clip(np.linalg.norm(self.data.cfrc_ext[self._pad]) / _HARD, 0.0, 1.0))
 
     def _kept(self) -> Array:
-        """(switches,) the states of what MuJoCo does not know."""
+        """(switches,) the states that MuJoCo does not hold."""
         return np.zeros(0)
 
     def _keep(self, kept: Array) -> None:
@@ -259,7 +272,7 @@ class OgbenchEnv:
 
 
 def _reproducible(kind: Any) -> Any:
-    """OGBench's class with its chance in its generator's hands, and whole states for goals."""
+    """OGBench's class, reproducible from its generator, with whole simulator states for goals."""
 
     class Reproducible(kind):  # type: ignore[misc]
         saved: Any

@@ -1,4 +1,4 @@
-"""The expert of OGBench's worlds: which of its closed-loop oracles is asked follows from state and goal alone."""
+"""The expert of OGBench's environments: state and goal alone decide which closed-loop oracle acts."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -15,19 +15,19 @@ from playlearn.envs.ogbench.scene import BLOCK, BUTTONS, DRAWER, DRAWER_Y, ON, O
 from playlearn.episode import Array, Decision, Goal, Observation
 from playlearn.store.ogbench import WIDEST
 
-REST = (0.425, 0.0, 0.3)  # meters, where an idle hand waits
+REST = (0.425, 0.0, 0.3)  # meters, where an idle end effector waits
 UP = np.array([0.0, 0.0, 1.0, 0.0, -1.0])
 _THERE, _SLID = 0.02, 0.02  # meters off within which a cube, and a drawer or a window, is left alone
 _GRIPPED = 0.5  # of the contact: OGBench's own
-_APART = 0.05  # meters between the middles of two cubes, or of the hand and what it may brush
-_OVER = np.array([0.0, 0.0, 0.11])  # meters by which a hand clears a cube
+_APART = 0.05  # meters between the middles of two cubes, or of the gripper and what it may brush
+_OVER = np.array([0.0, 0.0, 0.11])  # meters by which the gripper clears a cube
 _LOW = 0.075  # meters below which a cube in the drawer lies on its floor
 _SIZE = 0.04  # meters of a cube's edge
 _AREA = np.stack(np.meshgrid(np.linspace(0.32, 0.53, 5), np.linspace(-0.25, 0.25, 9)), axis=-1).reshape(-1, 2)
 
 
 class OgbenchExpert:
-    """A `ExpertPolicy`. A subclass offers `_choose`."""
+    """An `ExpertPolicy`. A subclass implements `_choose`."""
 
     name = "expert"
     cameras: tuple[str, ...] = ()
@@ -51,7 +51,7 @@ class OgbenchExpert:
     def decide(self, seen: Observation, goal: Array) -> Decision:
         """What to do in this state towards goal (G,)."""
         state, achieved, goal = seen.state.astype(float), seen.achieved.astype(float), goal.astype(float)
-        skill, told, beside = self._choose(state, achieved, goal)
+        skill, privileged, beside = self._choose(state, achieved, goal)
         if any(np.hypot(*(state[:2] - place[:2])) < _APART and state[2] < place[2] for place in beside):
             return Decision(UP, skill=f"{skill}:rise")
         info = {
@@ -59,13 +59,13 @@ class OgbenchExpert:
             "proprio/effector_yaw": np.array([np.arctan2(state[4], state[3])]),
             "proprio/gripper_opening": np.array([1.0 - state[5] / WIDEST]),
             "proprio/gripper_contact": state[6:7],
-            **{f"privileged/{name}": value for name, value in told.items()},
+            **{f"privileged/{name}": value for name, value in privileged.items()},
         }
         action = self._oracles[skill.partition("_")[0]].select_action(None, info)
         return Decision(np.clip(action, -1.0, 1.0), skill=skill)
 
     def _choose(self, state: Array, achieved: Array, goal: Array) -> tuple[str, Mapping[str, Any], Sequence[Array]]:
-        """The skill, what its oracle is told, and (3,) places beside which a hand that is lower must first rise."""
+        """The skill, its oracle's privileged input, and places (3,) m beside which a lower gripper must first rise."""
         raise NotImplementedError
 
 
@@ -81,7 +81,7 @@ def carry(achieved: Array, index: int, target: Array, yaw: float) -> tuple[str, 
 
 
 class CubeExpert(OgbenchExpert):
-    """What is below comes first; what is in the way is laid aside; what is in the hand is put down before all else."""
+    """Lower cubes come first; what is in the way is laid aside; what the gripper holds is put down before all else."""
 
     def _choose(self, state: Array, achieved: Array, goal: Array) -> tuple[str, Mapping[str, Any], Sequence[Array]]:
         cubes, wanted = achieved.reshape(-1, 5), goal.reshape(-1, 5)
@@ -148,8 +148,8 @@ class SceneExpert(OgbenchExpert):
             if (inside or to_inside) and achieved[DRAWER_Y] < self._opened[1] - 0.03:
                 return self._slide("drawer", achieved, self._opened)
             target = self._env.env._drawer_center if to_inside else goal[BLOCK]
-            skill, told = carry(achieved[:5], 0, target, _yaw(goal))
-            return skill, told, [] if held else self._beside(achieved, "cube_0")
+            skill, privileged = carry(achieved[:5], 0, target, _yaw(goal))
+            return skill, privileged, [] if held else self._beside(achieved, "cube_0")
         for name, column, part in (("drawer", DRAWER_Y, DRAWER), ("window", WINDOW_X, WINDOW)):
             if abs(achieved[column] - goal[column]) > _SLID:
                 return self._slide(name, achieved, goal[part])
@@ -163,16 +163,16 @@ class SceneExpert(OgbenchExpert):
         if achieved[ON[lock]] < 0.5:
             return self._press(lock, achieved)
         part = {"drawer": DRAWER, "window": WINDOW}[name]
-        told = {f"{name}_handle_pos": achieved[part], f"{name}_handle_yaw": self._yaws[name]}
-        return name, {**told, f"target_{name}_handle_pos": to}, self._beside(achieved, name)
+        privileged = {f"{name}_handle_pos": achieved[part], f"{name}_handle_yaw": self._yaws[name]}
+        return name, {**privileged, f"target_{name}_handle_pos": to}, self._beside(achieved, name)
 
     def _press(self, index: int, achieved: Array) -> tuple[str, Mapping[str, Any], Sequence[Array]]:
-        told = {"target_button": index, "target_button_top_pos": self._tops[index]}
-        told |= {f"button_{index}_state": 0, "target_button_state": 1}
-        return f"button_{index}", told, self._beside(achieved, f"button_{index}")
+        privileged = {"target_button": index, "target_button_top_pos": self._tops[index]}
+        privileged |= {f"button_{index}_state": 0, "target_button_state": 1}
+        return f"button_{index}", privileged, self._beside(achieved, f"button_{index}")
 
     def _beside(self, achieved: Array, skill: str) -> list[Array]:
-        """How high a hand must be above what it has nothing to do with, before it goes elsewhere."""
+        """How high the gripper must be above objects that the skill is not about, before it goes elsewhere."""
         tops = {"cube_0": achieved[BLOCK] + _OVER}
         tops |= {f"button_{i}": self._tops[i] + (0, 0, 0.04) for i in range(BUTTONS)}
         tops |= {"drawer": achieved[DRAWER] + (0, 0, 0.1), "window": achieved[WINDOW] + (0, 0, 0.045)}

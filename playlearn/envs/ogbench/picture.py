@@ -1,4 +1,4 @@
-"""Pictures of a MuJoCo scene exactly as `mujoco.Renderer` draws them, which OGBench's pixels are made with."""
+"""Images of a MuJoCo scene exactly as `mujoco.Renderer` draws them, which OGBench's pixels are made with."""
 
 from typing import Any
 

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from playlearn.envs.ogbench.config import OgbenchPlayConfig
 from playlearn.envs.ogbench.env import OgbenchEnv, Oracle
-from playlearn.envs.tabletop import chance
+from playlearn.envs.tabletop import numpy_seeded_from
 from playlearn.episode import Decision, Goal, Observation
 from playlearn.errors import UsageError
 from playlearn.sim.environment import Environment
@@ -15,20 +14,20 @@ _FIRST_STACKING = 0.5  # OGBench draws an episode's first target before it says 
 
 
 class OgbenchPlayPolicy:
-    """An Actor for one world, which it sees itself: oracles are told everything.
+    """An Actor for one environment, whose privileged state its oracles read.
 
     Raises:
-        UsageError: the world is none of OGBench's.
+        UsageError: the environment is none of OGBench's.
     """
 
     name = "ogbench oracles"
     cameras: tuple[str, ...] = ()
 
-    def __init__(self, environment: Environment, config: OgbenchPlayConfig) -> None:
+    def __init__(self, environment: Environment, noise: float, smoothing: float) -> None:
         if not isinstance(environment, OgbenchEnv):
-            raise UsageError("play: `type: ogbench` plays in OGBench's own worlds alone; leave `type` out elsewhere")
+            raise UsageError("play: `type: ogbench` plays in OGBench's environments only; leave `type` out elsewhere")
         self._env = environment
-        self._oracles = environment.oracles(config.noise, config.smoothing)
+        self._oracles = environment.oracles(noise, smoothing)
         self._rng = np.random.default_rng(0)
         self._stacking = 0.0
         self._oracle: Oracle | None = None
@@ -36,7 +35,7 @@ class OgbenchPlayPolicy:
 
     def reset(self, goals: Sequence[Goal | None], seeds: Sequence[int]) -> None:
         if len(seeds) != 1:
-            raise UsageError(f"{self.name} play in one world at a time, not in {len(seeds)}")
+            raise UsageError(f"{self.name} play in one environment at a time, not in {len(seeds)}")
         self._rng = np.random.default_rng(seeds[0])
         self._stacking = self._env.stacking(self._rng)
         self._begin(_FIRST_STACKING)
@@ -56,7 +55,7 @@ class OgbenchPlayPolicy:
         info = env.compute_ob_info()
         kind = str(info["privileged/target_task"])
         self._oracle = self._oracles[kind]
-        with chance(self._rng):
+        with numpy_seeded_from(self._rng):
             self._oracle.reset(None, info)
         which = {"cube": "target_block", "button": "target_button"}.get(kind)
         self._skill = kind if which is None else f"{kind}_{info[f'privileged/{which}']}"

@@ -2,7 +2,7 @@
 
 `achieved` (19,):
 
-    block_0.x y z c s     as in the cube worlds
+    block_0.x y z c s     as in the cube environments
     button_i.x y z on     meters, where its top is, pressed or not; on: 1 unlocks the drawer (0) or the window (1)
     drawer.x y z          meters, where its handle is: y goes with the drawer
     window.x y z          meters, where its handle is: x goes with the window
@@ -19,17 +19,16 @@ from ogbench.manipspace.oracles.plan.cube_plan import CubePlanOracle
 from ogbench.manipspace.oracles.plan.drawer_plan import DrawerPlanOracle
 from ogbench.manipspace.oracles.plan.window_plan import WindowPlanOracle
 
-from playlearn.envs.ogbench.config import OgbenchSceneConfig
 from playlearn.envs.ogbench.cube import PARTS, block
 from playlearn.envs.ogbench.env import TOLERANCE, OgbenchEnv, Oracle
 from playlearn.episode import Array
-from playlearn.sim.environment import Task
+from playlearn.sim.environment import CameraConfig, EnvironmentConfig, Task
 
 BUTTONS = 2
 NAMES = (
     *(f"block_0.{part}" for part in PARTS),
     *(f"button_{i}.{part}" for i in range(BUTTONS) for part in ("x", "y", "z", "on")),
-    *(f"{thing}.{axis}" for thing in ("drawer", "window") for axis in ("x", "y", "z")),
+    *(f"{fixture}.{axis}" for fixture in ("drawer", "window") for axis in ("x", "y", "z")),
 )
 BLOCK, ON, DRAWER, WINDOW = slice(0, 3), [8, 12], slice(13, 16), slice(16, 19)
 DRAWER_Y, WINDOW_X = 14, 16
@@ -40,13 +39,22 @@ _RIGHT, _LEFT, _INSIDE = 0.29, -0.3, (0.06, 0.08)  # meters: where a cube is out
 
 
 class OgbenchSceneEnv(OgbenchEnv):
-    """See the module's docstring."""
+    """See the module's docstring. end_unseen: a cube that is out of sight and not in the drawer is a failure."""
 
-    config: OgbenchSceneConfig
-
-    def __init__(self, config: OgbenchSceneConfig) -> None:
+    def __init__(
+        self,
+        config: EnvironmentConfig,
+        cameras: Mapping[str, CameraConfig],
+        *,
+        see_through: bool = True,
+        exact: bool = False,
+        end_unseen: bool = False,
+    ) -> None:
+        self._end_unseen = end_unseen
         self._shared: dict[str, bytes] = {}  # by clones, as the model is: how that is switched
-        super().__init__(config, SceneEnv, NAMES, switches=BUTTONS, env_type="scene")
+        super().__init__(
+            config, SceneEnv, NAMES, cameras, see_through=see_through, exact=exact, switches=BUTTONS, env_type="scene"
+        )
 
     @property
     def drawer(self) -> float:
@@ -59,7 +67,7 @@ class OgbenchSceneEnv(OgbenchEnv):
         if (place <= low - _BEYOND).any() or (place >= high + _BEYOND).any():
             return "the cube is lost"
         inside = _INSIDE[0] <= place[2] <= _INSIDE[1]
-        if self.config.unseen and (place[1] >= _RIGHT or (place[1] <= _LEFT and not inside)):
+        if self._end_unseen and (place[1] >= _RIGHT or (place[1] <= _LEFT and not inside)):
             return "the cube is out of sight"
         return None
 

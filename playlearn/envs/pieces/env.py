@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from playlearn.envs.pieces.named import piece_tasks
 from playlearn.envs.pieces.pieces import Piece, Pieces
+from playlearn.envs.pieces.tasks import piece_tasks
 from playlearn.envs.tabletop import TabletopConfig, TabletopEnv, View, upright
 from playlearn.episode import Array
 
@@ -15,8 +15,11 @@ _VIEW = View(eye=(0.72, 0.0, 1.45), at=(-0.01, 0.0, 0.84), fovy=30)
 class PiecesEnv(TabletopEnv):
     """A robosuite scene of pieces.
 
-    beyond: share of random starts in which pieces lie anywhere on the area, not where robosuite lays them.
-    stacked: share in which one is on another.
+    name: what robosuite has registered it as; `options` go to its constructor.
+    pieces: with the table they lie on.
+    beyond: fraction of random starts in which pieces lie anywhere on the area, not where robosuite lays them.
+    stacked: fraction in which one is on another.
+    view: of the front camera.
     """
 
     def __init__(

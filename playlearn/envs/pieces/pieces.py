@@ -1,8 +1,7 @@
-"""Pieces on a table: loose things that are told by x y z and a yaw, and can be laid, pushed, turned and stacked.
+"""Pieces on a table: loose objects with x y z and a yaw, that can be laid, pushed, turned and stacked.
 
-What Lift and Stack share, and any other scene of blocks: what is achieved and when it is reached, named
-tasks with their judges, random starts, and who drives. Piece i has five numbers of `achieved`, meters
-unless noted:
+What Lift and Stack share, and any other scene of blocks: the achieved goal and when it is reached, named
+tasks, random starts, and the skill library. Piece i has five numbers of `achieved`, meters unless noted:
 
     x y z    its center
     c s      (cos, sin)(fold * yaw), the same however often it is turned by a whole turn / fold
@@ -19,14 +18,16 @@ from playlearn.oracles.skills import NEAR, NEAR_YAW, turn
 
 PARTS = ("x", "y", "z", "c", "s")
 POSITION_TOLERANCE, HEIGHT_TOLERANCE, YAW_TOLERANCE = 0.04, 0.02, np.deg2rad(20.0)  # meters, meters, radians
-LIFTED = 0.04  # meters above the table at which robosuite's Lift calls its cube lifted
-_HIGH = 0.14  # meters above the table where an idle hand rests
 _FINGER = 0.02  # meters of room that a finger needs beside a piece
 
 
 @dataclass(frozen=True)
 class Table:
-    """Its top at z, and the area (x, y) in which pieces are laid, meters."""
+    """The table.
+
+    z: meters, of its top.
+    x, y: meters, the area in which pieces are laid.
+    """
 
     z: float = 0.8
     x: tuple[float, float] = (-0.15, 0.15)
@@ -41,9 +42,13 @@ class Table:
 
 @dataclass(frozen=True)
 class Piece:
-    """A `Thing`: piece `index`, `width` m between the fingers and `height` m high; fold: see the module's docstring.
+    """A `GraspableObject`.
 
-    body: its name in the scene, where that is not `<name>_main`; its free joint is `<name>_joint0`.
+    name: its body in the scene is `<name>_main`, its free joint `<name>_joint0`.
+    index: of its five numbers in `achieved`.
+    width: meters between the fingers.
+    height: meters.
+    fold: see the module's docstring.
     """
 
     name: str
@@ -64,7 +69,7 @@ class Piece:
         return float(np.arctan2(s, c)) / self.fold
 
     def grasp(self, hand: EndEffector, achieved: Array) -> tuple[Array, float]:
-        """Of the ways to take it, the one with room for the fingers, then the one that turns the hand least."""
+        """Of the ways to take it, the one with room for the fingers, then the one that turns the gripper least."""
         here = self.position(achieved)
         others = np.delete(achieved.reshape(-1, 5)[:, :3], self.index, axis=0) - here
         others = others[np.abs(others[:, 2]) < self.height]
@@ -92,7 +97,7 @@ class Piece:
 
 
 class Pieces:
-    """The pieces of a scene, the table they are on, and what can be said of `achieved` (5 * n,)."""
+    """The pieces of a scene, the table they are on, and what holds of `achieved` (5 * n,)."""
 
     def __init__(self, pieces: Sequence[Piece], table: Table) -> None:
         self.all, self.table = tuple(pieces), table

@@ -1,24 +1,24 @@
-"""Who drives pieces: what play tries with them, and which comes next on the way to a goal."""
+"""The skill library of pieces: what play tries with them, and which comes next on the way to a goal."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from playlearn.envs.pieces.named import PieceTasks, piece_tasks
 from playlearn.envs.pieces.pieces import Piece, Pieces
+from playlearn.envs.pieces.tasks import PieceTasks, piece_tasks
 from playlearn.episode import Array
 from playlearn.oracles.end_effector import EndEffector
 from playlearn.oracles.skill_library import SkillOption
 from playlearn.oracles.skills import Carry, Push, Reach, Skill
 from playlearn.sim.environment import Task
 
-_HIGH = 0.14  # meters above the table where an idle hand rests
+_HIGH = 0.14  # meters above the table where an idle gripper rests
 _ROOM = 0.012  # meters that fingers are open beyond a piece before they go down around it
 _WEIGHTS = {"lift": 0.6, "place": 1.6, "unstack": 2.0}  # how often play tries each kind, where it can
 
 
 class PiecesSkillLibrary:
-    """Who drives pieces; see `SkillLibrary`."""
+    """The `SkillLibrary` of pieces."""
 
     def __init__(self, pieces: Pieces) -> None:
         self._pieces, self._tasks, self._spots = pieces, piece_tasks(pieces), pieces.table.spots()

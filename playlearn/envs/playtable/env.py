@@ -37,7 +37,7 @@ from playlearn.envs.playtable.layout import (
     others,
     tray_y,
 )
-from playlearn.envs.playtable.named import playtable_tasks
+from playlearn.envs.playtable.tasks import playtable_tasks
 from playlearn.episode import Array
 from playlearn.errors import UsageError
 from playlearn.sim.environment import CameraConfig, EnvironmentConfig, Task
@@ -46,10 +46,15 @@ from playlearn.sim.robosuite_env import RobosuiteEnv
 POSITION_TOLERANCE = 0.04  # meters, in the plane
 HEIGHT_TOLERANCE = 0.02
 DIRECTION_TOLERANCE = 2 * np.sin(np.deg2rad(20.0))  # the chord of 2 * yaw that is 20 degrees of yaw
-FIXTURE_TOLERANCES = {DRAWER: 0.03, SLIDER: 0.03, LED: 0.5, BULB: 0.5}  # meters, lit or not; the bulb tells the lever
+FIXTURE_TOLERANCES = {
+    DRAWER: 0.03,
+    SLIDER: 0.03,
+    LED: 0.5,
+    BULB: 0.5,
+}  # meters, lit or not; the bulb stands for the lever
 _REACH = ((-0.25, -0.40), (0.19, 0.42))  # where a block can be fetched from, (x, y) in meters
 _PRESSED, _RELEASED = 0.007, 0.004  # meters of button travel at which the lamp toggles and re-arms
-_UNFIT = ("Baxter", "PandaDexLH", "PandaDexRH")  # two arms; hands that do not take one command
+_UNFIT = ("Baxter", "PandaDexLH", "PandaDexRH")  # two arms; grippers that do not take one command
 _LAMPS = {  # unlit and lit
     scene.LED_GEOM: ((0.16, 0.22, 0.24, 1.0), (0.55, 1.0, 1.0, 1.0)),
     scene.BULB_GEOM: ((0.25, 0.25, 0.22, 1.0), (1.0, 0.9, 0.25, 1.0)),
@@ -59,9 +64,13 @@ _LAMPS = {  # unlit and lit
 @EnvironmentConfig.register_subclass("playtable")
 @dataclass(frozen=True)
 class PlayTableConfig(EnvironmentConfig):
-    """robot: any single-arm robosuite robot. cameras: name -> size of the images.
+    """PlayTable.
 
-    stacked, stowed, shelved: share of random starts with one block on another, in the drawer, in the slider's bay.
+    robot: any single-arm robosuite robot.
+    cameras: name -> size of the images.
+    stacked: fraction of random starts with one block on another.
+    stowed: fraction with one in the drawer.
+    shelved: fraction with one in the slider's bay.
     """
 
     robot: str = "Panda"
@@ -207,7 +216,7 @@ class PlayTableEnv(RobosuiteEnv):
             self.data.qpos[self._fixture_qpos[LEVER]] = scene.LEVER_RANGE * (1 if lever else -1)
 
     def refresh(self) -> None:
-        """After changing a start state by hand: let it come to rest and observe it anew."""
+        """After a start state was changed from outside: let it come to rest."""
         self.settle()
 
     def vacate(self, inside: Callable[[Array, int], bool], rng: np.random.Generator, keep: int | None = None) -> None:

@@ -37,7 +37,7 @@ def clearance(around: Sequence[Obstacle], grip: Place, finger_yaw: float) -> flo
 
 
 def obstacles(achieved: Array, index: int) -> list[Obstacle]:
-    """All that a hand which grips block `index` could touch."""
+    """All that a gripper on block `index` could touch."""
     bay_x, bay_y = scene.BAY_CENTER
     slider, tray = slider_y(achieved), tray_y(achieved)
     r = scene.POST_RADIUS

@@ -1,12 +1,12 @@
-"""What to do next to bring the table from one state to another; it remembers nothing, so it can begin anywhere.
+"""Which skill comes next to bring the table from one state to another; it has no memory, so it can begin anywhere.
 
-What is in the hand comes first: to its goal if it can be let go there now, else aside. Then the blocks, those
+A block in the gripper comes first: to its goal if it can be let go there now, else aside. Then the blocks, those
 first that can go to their goals now: nothing on them, nothing in their place, what they are to lie on in its
 place. Where all wait for each other, one is laid aside. Drawer and slider are moved out of the way when the next
 block needs it, and to their own goals after the blocks; what the goal shows in the air comes last.
 
-Each of these conditions is settled by the step that it asks for, and by no later one undone: so it cannot turn
-in circles, though it forgets.
+Each of these conditions is met by the skill that it asks for, and undone by no later one: so the order never loops,
+though it has no memory.
 """
 
 import math
@@ -16,6 +16,7 @@ import numpy as np
 
 from playlearn.envs.playtable import scene
 from playlearn.envs.playtable.fit import ACROSS, apart, footprint, spots, top
+from playlearn.envs.playtable.grasp import Block, gripped, ways
 from playlearn.envs.playtable.layout import (
     BLOCK_NAMES,
     BULB,
@@ -38,20 +39,8 @@ from playlearn.envs.playtable.layout import (
     tray_y,
     upright,
 )
-from playlearn.envs.playtable.named import can_drop
-from playlearn.envs.playtable.skills import (
-    HIGH,
-    POSTS,
-    Block,
-    Flip,
-    Press,
-    PushIn,
-    Slide,
-    Tip,
-    Withdraw,
-    gripped,
-    ways,
-)
+from playlearn.envs.playtable.skills import HIGH, POSTS, Flip, Press, PushIn, Slide, Tip, Withdraw
+from playlearn.envs.playtable.tasks import can_drop
 from playlearn.episode import Array
 from playlearn.oracles.end_effector import EndEffector
 from playlearn.oracles.skills import Carry, Reach, Skill
@@ -68,7 +57,7 @@ def in_hand(hand: EndEffector, achieved: Array) -> int | None:
 
 
 def next_skill(hand: EndEffector, achieved: Array, goal: Array) -> Skill:
-    """The skill that is to be carried on now, from `achieved` (G,) towards `goal` (G,)."""
+    """The skill that is due now, from `achieved` (G,) towards `goal` (G,)."""
     return _Order(hand, achieved.astype(float), goal.astype(float)).next()
 
 
@@ -77,13 +66,13 @@ def carry(
 ) -> Carry:
     """Carry block `index` to where `pose` (5,) shows it."""
     x, y, z = map(float, pose[:3])
-    thing = thing_towards(achieved, index, pose)
+    grasped = block_towards(achieved, index, pose)
     drop = _HOLLOW if z < scene.TABLE_Z and y > scene.EDGE_Y else 0.002
-    slack = 0.008 if thing.way(hand, achieved) == ACROSS else 0.003  # along, there are 5 mm on either side
-    return Carry(name or f"carry_{BLOCK_NAMES[index]}", thing, (x, y, z), direction(pose), lasting, drop, slack=slack)
+    slack = 0.008 if grasped.way(hand, achieved) == ACROSS else 0.003  # along, there are 5 mm on either side
+    return Carry(name or f"carry_{BLOCK_NAMES[index]}", grasped, (x, y, z), direction(pose), lasting, drop, slack=slack)
 
 
-def thing_towards(achieved: Array, index: int, pose: Array) -> Block:
+def block_towards(achieved: Array, index: int, pose: Array) -> Block:
     """Block `index` as something to be carried over the others to where `pose` (5,) shows it."""
     x, y, z = map(float, pose[:3])
     return Block(index, (x, y, z, direction(pose)), max(top(achieved, j) for j in others(index)) + 0.035)
@@ -91,11 +80,16 @@ def thing_towards(achieved: Array, index: int, pose: Array) -> Block:
 
 @dataclass(frozen=True)
 class Choice:
-    """What to do next. subject: with which block or, by its index in `achieved`, fixture. thing: how it is taken."""
+    """What to do next.
+
+    subject: with which block, or fixture by its index in `achieved`; -1 with none.
+    skill: that does it.
+    grasped: the block as it is to be taken.
+    """
 
     subject: int
     skill: Skill
-    thing: Block | None = None
+    grasped: Block | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +122,7 @@ class _Order:
         return Choice(-1, Reach("rest", (min(max(x, -0.1), 0.1), y, HIGH)))
 
     def withdrawal(self, choice: Choice) -> Skill | None:
-        """Up and away first, where the fingers are about something else than what comes next, or about it askew."""
+        """Up and away first, where the fingers enclose another object than the next one, or enclose it askew."""
         hand = self.hand
         for i in _ALL:
             pose = block(self.achieved, i)
@@ -137,8 +131,8 @@ class _Order:
             if not about or gripped(hand, self.achieved, i) is not None:
                 continue
             if i == choice.subject:
-                thing = None if upright(pose) else choice.thing
-                if thing is None or hand.yaw_error(direction(pose) + thing.way(hand, self.achieved)) < 0.5:
+                grasped = None if upright(pose) else choice.grasped
+                if grasped is None or hand.yaw_error(direction(pose) + grasped.way(hand, self.achieved)) < 0.5:
                     continue
             return Withdraw("withdraw", (float(pose[0]), float(pose[1])))
         for index, post in POSTS.items():
@@ -148,7 +142,7 @@ class _Order:
                 return Withdraw("withdraw", (x, y))
         return None
 
-    # Where things are, and where they are to be ---------------------------------------------------------
+    # Where blocks are, and where they are to be ---------------------------------------------------------
 
     def to(self, index: int) -> Array:
         """(5,) the pose that a block is to have now: in the drawer it moves with it, and fingers must come out."""
@@ -179,7 +173,7 @@ class _Order:
         return self.carry(index, lasting=not aloft)
 
     def with_blocks(self, wrong: list[int]) -> Choice:
-        """The nearest thing to do of those that can be done; where all wait for each other, something aside."""
+        """The nearest of what can be done; where all wait for each other, one block is laid aside."""
         ready = [i for i in wrong if rider(self.achieved, i) is None and self.can_land(i, now=False)]
         if ready:
             return self.nearest([self.pushed(i) or self.fetch(i, landing=True) or self.carry(i) for i in ready])
@@ -248,12 +242,12 @@ class _Order:
             if away > 0.03 and here[1] > scene.EDGE_Y - 0.02 and here[2] < scene.TABLE_Z + 0.025:
                 pose = np.array([*here[:2], scene.TABLE_Z + 0.12, *here[3:]])  # out of the drawer straight up
         skill = carry(self.hand, self.achieved, index, pose, name, lasting)
-        return Choice(index, skill, thing_towards(self.achieved, index, pose))
+        return Choice(index, skill, block_towards(self.achieved, index, pose))
 
     def nearest(self, choices: list[Choice]) -> Choice:
         """Blocks that can be taken now before fixtures in the way of others, which might cover them again.
 
-        Of these the nearest: on the way there it stays the nearest, so it is not thought better of.
+        Of these the nearest: on the way there it stays the nearest, so the choice does not change.
         """
         away = [distance(self.hand.position, self.place(choice.subject)) for choice in choices]
         return choices[min(range(len(choices)), key=lambda k: (choices[k].subject in POSTS, away[k]))]

@@ -198,7 +198,7 @@ def _lever() -> str:
 
 
 def _lamps() -> str:
-    """Only looked at: they stand where neither hand nor block comes."""
+    """Only looked at: they stand where neither gripper nor block comes."""
     (bx, by), (lx, ly) = BULB_XY, LED_XY
     return f"""
     <body name="lamps" pos="0 0 {TABLE_Z}">
@@ -210,9 +210,9 @@ def _lamps() -> str:
 
 
 class PlayTable(ManipulationEnv):  # type: ignore[misc]
-    """robosuite's own door to the scene: `robosuite.make("PlayTable", robots="Panda")` works too.
+    """The scene as robosuite's own environment: `robosuite.make("PlayTable", robots="Panda")` works too.
 
-    It has no reward: reaching goals is judged by `playlearn.envs.playtable.env`.
+    It has no reward: whether a goal is reached is decided by `playlearn.envs.playtable.env`.
     """
 
     def __init__(self, robots: str = "Panda", **kwargs: Any) -> None:

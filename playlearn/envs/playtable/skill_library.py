@@ -1,10 +1,11 @@
-"""Who drives PlayTable: what play tries there, and what to put where."""
+"""The skill library of PlayTable: what play tries there, and which skill serves a goal."""
 
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from playlearn.envs.playtable import scene
+from playlearn.envs.playtable.grasp import Block
 from playlearn.envs.playtable.layout import (
     BLOCK_NAMES,
     BULB,
@@ -21,7 +22,9 @@ from playlearn.envs.playtable.layout import (
     lies_free,
     upright,
 )
-from playlearn.envs.playtable.named import (
+from playlearn.envs.playtable.order import carry, in_hand, next_skill
+from playlearn.envs.playtable.skills import POSTS, Flip, Press, PushIn, Slide, Tip
+from playlearn.envs.playtable.tasks import (
     before_drawer,
     can_drop,
     can_shelve,
@@ -32,8 +35,6 @@ from playlearn.envs.playtable.named import (
     stacked,
     stowed,
 )
-from playlearn.envs.playtable.order import carry, in_hand, next_skill
-from playlearn.envs.playtable.skills import POSTS, Block, Flip, Press, PushIn, Slide, Tip
 from playlearn.episode import Array
 from playlearn.oracles.end_effector import EndEffector
 from playlearn.oracles.skill_library import SkillOption
@@ -68,7 +69,7 @@ Moved = Callable[[Array, int, np.random.Generator], Array]
 
 
 class PlayTableSkillLibrary:
-    """A `SkillLibrary`; see there."""
+    """The `SkillLibrary` of PlayTable."""
 
     idle = ((-0.15, -0.2, scene.TABLE_Z + 0.14), (0.13, 0.2, scene.TABLE_Z + 0.25))
 
@@ -76,7 +77,7 @@ class PlayTableSkillLibrary:
         self._tasks = playtable_tasks()
 
     def options(self) -> Sequence[SkillOption]:
-        """The named tasks, and what nobody names: laying a block elsewhere, out of drawer and bay, on its side."""
+        """The named tasks and what is none: laying a block elsewhere, out of drawer and bay, on its side."""
         named = [_option(task) for task in self._tasks.values()]
         own = [option for index in _ALL for option in _of_block(index)]
         return [*named, *own, _anywhere("drawer", DRAWER), _anywhere("slider", SLIDER)]

@@ -12,7 +12,7 @@ _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 _APART = 1e-5  # meters: what is flush with a top is not beyond it
 
 
-class Cover:
+class Culling:
     """Of a model's geoms, floors (g,) bool may hide the sky, and tops (g,) bool what lies beyond them."""
 
     def __init__(self, model: mujoco.MjModel, floors: Array, tops: Array) -> None:

@@ -1,8 +1,8 @@
 """The one OpenGL context of this process, current only while it is drawn with.
 
-Who frees what he drew with, as robosuite does when an environment is forgotten, frees it in whichever context is
-current then, and the names of what is in one context are names in every other. So ours is current only while we
-draw, the former one is so again afterwards, and nobody's garbage is collected meanwhile.
+Code that frees what it drew with, as robosuite does when an environment is deleted, frees it in whichever context is
+current then, and an object's id in one context is an id in every other. So ours is current only while we draw,
+the former one is so again afterwards, and no garbage is collected meanwhile.
 """
 
 import atexit

@@ -1,9 +1,9 @@
 """Images of a scene, quickly: no more is drawn than they can show, four samples a pixel, one GL context a process.
 
 What costs time on a CPU is vertices, textured surfaces behind others, the sky and reflections; updating the scene
-and reading the picture are nothing beside them. So meshes are simplified to the size of the image (`lean`), what is
-out of view or covered is left out (`cover`), what stands still before a fixed camera is drawn once, and reflections,
-of which robosuite's floor has one in a hundred, not at all.
+and reading the image cost next to nothing. So meshes are simplified to the size of the image (`simplify`), what is
+out of view or covered is left out (`culling`), what stands still before a fixed camera is drawn once, and
+reflections, of which robosuite's floor has one in a hundred, not at all.
 """
 
 from collections.abc import Callable
@@ -14,17 +14,18 @@ import numba
 import numpy as np
 
 from playlearn.episode import Array
-from playlearn.sim.rendering.culling import Cover
+from playlearn.sim.rendering.culling import Culling
 from playlearn.sim.rendering.gl import our_context
-from playlearn.sim.rendering.simplify import FINEST, VISUAL_GROUP, lean_model
+from playlearn.sim.rendering.simplify import FINEST, VISUAL_GROUP, simplified_model
 
 
 class Renderer:
     """Draws a scene in any state, from any camera, in any size; holds its own data, never the simulation's.
 
-    scene: makes the scene, new each time. home: (nq,), a pose from which to judge how near the cameras come to things.
-    paint: called with a model and what a world keeps beside MuJoCo's state, to show it: it may change colors
-    and where bodies stand.
+    scene: makes the scene, new each time.
+    home: (nq,), a pose from which to estimate how near the cameras come to objects.
+    paint: called with a model and what an environment keeps beside MuJoCo's state, to show it: it may change colors
+        and the places of bodies.
     """
 
     def __init__(
@@ -34,7 +35,7 @@ class Renderer:
         self._stages: dict[int, _Stage] = {}
 
     def draw(self, qpos: Array, extra: Array, camera: str, height: int, width: int) -> Array:
-        """(h, w, 3) uint8, upright; the picture depends on nothing but these arguments.
+        """(h, w, 3) uint8, upright; the image depends on nothing but these arguments.
 
         Raises:
             RenderError: no headless OpenGL can be had; the message says what to install.
@@ -46,9 +47,9 @@ class Renderer:
         while rows < height and rows <= FINEST:
             rows *= 2
         if rows not in self._stages:
-            with our_context():  # says what is missing, before time is spent
+            with our_context():  # raises where it is missing, before time is spent
                 pass
-            self._stages[rows] = _Stage(lean_model(self._scene(), self._home, rows), self._paint)
+            self._stages[rows] = _Stage(simplified_model(self._scene(), self._home, rows), self._paint)
         return self._stages[rows]
 
 
@@ -61,7 +62,7 @@ class _Stage:
         self._visual = model.geom_group == VISUAL_GROUP
         self._moves = model.body_weldid[model.geom_bodyid] != 0
         room = self._visual & (model.geom_bodyid == 0)
-        self._cover = Cover(model, room, self._visual & ~room & ~self._moves)
+        self._cover = Culling(model, room, self._visual & ~room & ~self._moves)
         self._moving = np.flatnonzero(self._visual & self._moves)
         self._material = model.geom_matid[self._moving]
         self._fixed_camera = model.body_weldid[model.cam_bodyid] == 0

@@ -15,7 +15,7 @@ _SAME_SIDE = 0.5  # cosine between the normals of two faces beyond which there i
 _NEARBY = 0.3  # meters from which a moving camera may come to see what it does not see at home
 
 
-def lean_model(spec: mujoco.MjSpec, home: Array, rows: int) -> mujoco.MjModel:
+def simplified_model(spec: mujoco.MjSpec, home: Array, rows: int) -> mujoco.MjModel:
     """The scene, which is changed, compiled for images of up to `rows` rows; home (nq,) is a pose typical of cameras.
 
     Meshes of one body that look alike become one geom under the name of the first.

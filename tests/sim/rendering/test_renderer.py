@@ -14,7 +14,7 @@ from playlearn.envs.playtable.scene import PlayTable
 from playlearn.errors import RenderError
 from playlearn.sim.rendering.gl import our_context
 from playlearn.sim.rendering.renderer import _Stage
-from playlearn.sim.rendering.simplify import FINEST, lean_model
+from playlearn.sim.rendering.simplify import FINEST, simplified_model
 
 SIZE = 84
 
@@ -50,7 +50,7 @@ def states(env: PlayTableEnv) -> list[np.ndarray]:
 @pytest.fixture(scope="module")
 def fine(env: PlayTableEnv) -> _Stage:
     """The scene as it is: every triangle of it."""
-    return _Stage(lean_model(mujoco.MjSpec.from_string(env._xml), env._home, 2 * FINEST), _paint)
+    return _Stage(simplified_model(mujoco.MjSpec.from_string(env._xml), env._home, 2 * FINEST), _paint)
 
 
 def drawn_at_once(stage: _Stage, env: PlayTableEnv, camera: str, height: int, width: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The named tasks of pieces: where each starts, what it asks for, and how it is judged."""
+"""The named tasks of pieces: where each starts, its goal, and its success test."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -61,7 +61,7 @@ class PieceTasks:
         env.stack(self.piece, others[int(rng.integers(len(others)))], rng)
         env.refresh()
 
-    # What it asks for -------------------------------------------------------------------------------
+    # Its goal ---------------------------------------------------------------------------------------
 
     def lift(self, achieved: Array, rng: np.random.Generator) -> Array:
         return self._moved(achieved, z=self.piece.position(achieved)[2] + rng.uniform(0.09, 0.13))
@@ -97,7 +97,7 @@ class PieceTasks:
         x, y, z = under.position(achieved)
         return self._moved(achieved, (x, y), z + (under.height + self.piece.height) / 2, under.yaw(achieved))
 
-    # How it is judged -------------------------------------------------------------------------------
+    # When it is solved -------------------------------------------------------------------------------
 
     def at_goal(self, start: Array, achieved: Array, goal: Array) -> bool:
         return self._distance(achieved, goal) < POSITION_TOLERANCE and self.pieces.lying(achieved, self.piece)

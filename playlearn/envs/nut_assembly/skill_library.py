@@ -1,33 +1,19 @@
-"""robosuite's NutAssembly with one nut: onto its peg, off it again, about the table.
+"""How the nut is moved by its handle: the skill, and the skill library of play and the expert."""
 
-`achieved` (6,):
-
-    nut.x nut.y nut.z      meters, the middle of its hole
-    nut.c nut.s nut.slope  the direction its handle points in: (c, s) in the plane, slope upwards
-"""
-
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from playlearn.envs.tabletop import TabletopConfig, TabletopEnv, View, upright
+from playlearn.envs.nut_assembly.env import ON_PEG, PEG_TOP, PEGS, REST, TABLE_Z, nut_tasks, on_peg, yaw
 from playlearn.episode import Array
 from playlearn.oracles import register_skill_library
 from playlearn.oracles.end_effector import CLOSE, OPEN, EndEffector, Style
 from playlearn.oracles.skill_library import SkillOption
 from playlearn.oracles.skills import Reach, Skill, TiltedSkill, Waypoint, turn, up
-from playlearn.sim.environment import EnvironmentConfig, Task
+from playlearn.sim.environment import Task
 
-NAMES = ("nut.x", "nut.y", "nut.z", "nut.c", "nut.s", "nut.slope")
-TABLE_Z, PEG_TOP = 0.82, 0.95
-REST = TABLE_Z + 0.01
-PEGS = {"square": (0.23, 0.10), "round": (0.23, -0.10)}
-AREA = ((-0.17, 0.06), (-0.16, 0.22))  # x and y where a nut is laid
-POSITION_TOLERANCE, HEIGHT_TOLERANCE, YAW_TOLERANCE = 0.03, 0.02, np.deg2rad(25.0)
-ON_PEG = 0.03  # meters, robosuite's own
 _HANDLE = 0.066  # meters from the hole to where the handle is gripped
 _WIDTH = 0.032
 _SHOULDER, _STRETCHED = (-0.56, 0.0), 0.71
@@ -35,154 +21,12 @@ _LOWEST, _HIGHEST = np.deg2rad(-20.0), np.deg2rad(290.0)  # yaws that a Panda's 
 _NEAR, _NEAR_YAW = 0.02, 0.2
 
 
-@EnvironmentConfig.register_subclass("nut_assembly")
-@dataclass(frozen=True)
-class NutAssemblyConfig(TabletopConfig):
-    """nut: which of robosuite's two. beyond: share of random starts anywhere on the table; on_peg: on its peg.
-
-    All others are robosuite's own.
-    """
-
-    nut: Literal["square", "round"] = "square"
-    beyond: float = 0.3
-    on_peg: float = 0.25
-
-    def build(self) -> "NutAssemblyEnv":
-        return NutAssemblyEnv(self)
-
-
-class NutAssemblyEnv(TabletopEnv):
-    """See the module's docstring."""
-
-    config: NutAssemblyConfig
-
-    def __init__(self, config: NutAssemblyConfig) -> None:
-        view = View(eye=(0.80, 0.05, 1.50), at=(0.03, 0.04, 0.86), fovy=37)
-        name, other = (f"{nut.capitalize()}Nut" for nut in (config.nut, *(set(PEGS) - {config.nut})))
-        super().__init__(config, f"NutAssembly{config.nut.capitalize()}", NAMES, view, absent=(other,))
-        self.tasks = nut_tasks(PEGS[config.nut])
-        self._body, self._joint = self.body(f"{name}_main"), f"{name}_joint0"
-
-    def _achieved(self) -> Array:
-        return np.array([*self.data.xpos[self._body], *self.data.xmat[self._body].reshape(3, 3)[:, 0]], np.float32)
-
-    def failure(self) -> str | None:
-        x, y, z = self.data.xpos[self._body]
-        if z < TABLE_Z - 0.03:
-            return "the nut fell off the table"
-        if abs(y) > 0.34 or x < -0.34 or x > 0.3:
-            return "the nut is out of reach"
-        return None
-
-    def reached(self, achieved: Array, goal: Array) -> bool:
-        off = achieved[:3] - goal[:3]
-        there = np.hypot(*off[:2]) < POSITION_TOLERANCE and abs(off[2]) < HEIGHT_TOLERANCE
-        return bool(there and abs(turn(yaw(achieved), yaw(goal), 2 * np.pi)) < YAW_TOLERANCE)
-
-    def _arrange(self, rng: np.random.Generator) -> None:
-        super()._arrange(rng)
-        draw = rng.random()
-        if draw < self.config.beyond:
-            self.lay(rng.uniform(*np.transpose(AREA)), rng.uniform(-np.pi, np.pi))
-        elif draw < self.config.beyond + self.config.on_peg:
-            self.thread(rng)
-
-    def lay(self, xy: Array, direction: float) -> None:
-        """Lay the nut on the table, its handle in a direction in rad; for start states only."""
-        self.put(self._joint, [*xy, REST + 0.001], upright(direction))
-
-    def thread(self, rng: np.random.Generator) -> None:
-        """Put the nut on its peg; for start states only."""
-        peg = np.array(PEGS[self.config.nut])
-        self.lay(peg + rng.uniform(-0.003, 0.003, 2), np.pi + rng.uniform(-0.8, 0.8))
-
-
-def yaw(achieved: Array) -> float:
-    """Where the handle points, rad."""
-    return float(np.arctan2(achieved[4], achieved[3]))
-
-
-def on_peg(achieved: Array, peg: tuple[float, float]) -> bool:
-    """Whether the nut is on its peg, as robosuite judges it."""
-    return bool(np.abs(achieved[:2] - peg).max() < ON_PEG and achieved[2] < TABLE_Z + 0.05)
-
-
-def nut_tasks(peg: tuple[float, float]) -> Mapping[str, Task]:
-    """Name -> task, in the order that reports use."""
-    return MappingProxyType({task.name: task for task in _Tasks(peg).tasks()})
-
-
-@dataclass(frozen=True)
-class _Tasks:
-    """The tasks of a nut whose peg is at `peg` (2,) m."""
-
-    peg: tuple[float, float]
-
-    def tasks(self) -> tuple[Task, ...]:
-        return (
-            Task("lift_nut", "lift", self.lies, _as_it_comes, self.lift, _lifted),
-            Task("place_nut", "place", self.lies, _as_it_comes, self.place, self.near),
-            Task("rotate_nut", "rotate", self.lies, _as_it_comes, self.rotate, self.turned),
-            Task("thread_nut", "thread", self.lies, _as_it_comes, self.thread, self.fitted),
-            Task("take_off_nut", "take_off", self.sits, _threaded, self.place, self.near),
-        )
-
-    def lies(self, achieved: Array) -> bool:
-        return bool(abs(achieved[2] - REST) < 0.008 and abs(achieved[5]) < 0.1 and not self.sits(achieved))
-
-    def sits(self, achieved: Array) -> bool:
-        return on_peg(achieved, self.peg)
-
-    def lift(self, achieved: Array, rng: np.random.Generator) -> Array:
-        return _at(achieved[:2], REST + rng.uniform(0.08, 0.12), yaw(achieved))
-
-    def place(self, achieved: Array, rng: np.random.Generator) -> Array:
-        for _ in range(100):
-            spot = rng.uniform(*np.transpose(AREA))
-            if np.hypot(*(spot - achieved[:2])) > 0.10:
-                break
-        return _at(spot, REST, yaw(achieved) + rng.uniform(-1.0, 1.0))
-
-    def rotate(self, achieved: Array, rng: np.random.Generator) -> Array:
-        return _at(achieved[:2], REST, yaw(achieved) + rng.choice([-1, 1]) * rng.uniform(0.7, 1.4))
-
-    def thread(self, achieved: Array, rng: np.random.Generator) -> Array:
-        return _at(self.peg, REST, np.pi + rng.uniform(-0.5, 0.5))
-
-    def near(self, start: Array, achieved: Array, goal: Array) -> bool:
-        return bool(np.hypot(*(achieved[:2] - goal[:2])) < 0.04 and self.lies(achieved))
-
-    def turned(self, start: Array, achieved: Array, goal: Array) -> bool:
-        off = turn(yaw(achieved), yaw(goal), 2 * np.pi)
-        return self.near(start, achieved, goal) and abs(off) < YAW_TOLERANCE
-
-    def fitted(self, start: Array, achieved: Array, goal: Array) -> bool:
-        return self.sits(achieved)
-
-
-def _at(xy: Any, z: float, direction: float) -> Array:
-    return np.array([*xy, z, np.cos(direction), np.sin(direction), 0.0], np.float32)
-
-
-def _lifted(start: Array, achieved: Array, goal: Array) -> bool:
-    return bool(achieved[2] > start[2] + 0.04)
-
-
-def _as_it_comes(env: NutAssemblyEnv, rng: np.random.Generator) -> None:
-    """Nothing to bring about: most random starts suit."""
-
-
-def _threaded(env: NutAssemblyEnv, rng: np.random.Generator) -> None:
-    env.thread(rng)
-    env.refresh()
-
-
 @dataclass(frozen=True)
 class Bring:
     """Take the nut by its handle to where `goal` (G,) shows it: over the peg and down, or about the table.
 
-    The handle makes every direction different, so the wrist must turn as far as the nut does: the hand takes it
-    on that side from which it can.
+    The handle makes every direction different, so the wrist must turn as far as the nut does: the gripper takes it
+    on the side from which it can.
     """
 
     name: str
@@ -208,7 +52,7 @@ class Bring:
         off = achieved[:3] - self.goal[:3]
         loose = (
             2.0 if self._threading and on_peg(achieved, self.peg) else 1.0
-        )  # it goes no further than its hole lets it
+        )  # it turns no farther than its hole allows
         turned = abs(turn(yaw(achieved), self._direction, 2 * np.pi))
         return bool(np.hypot(*off[:2]) < _NEAR and abs(off[2]) < 0.012 and turned < loose * _NEAR_YAW)
 
@@ -218,7 +62,7 @@ class Bring:
         return self.there(achieved) and not held(hand, achieved) and hand.position[2] > self.goal[2] + 0.06
 
     def plan(self, hand: EndEffector, achieved: Array, style: Style) -> Sequence[Waypoint]:
-        return ()  # which way round a wrist turns cannot be told in waypoints
+        return ()  # waypoints cannot tell which way round a wrist turns
 
     @property
     def _direction(self) -> float:
@@ -293,7 +137,7 @@ def held(hand: EndEffector, achieved: Array) -> bool:
 
 
 class NutSkillLibrary:
-    """A `SkillLibrary`; see there."""
+    """The `SkillLibrary` of one nut."""
 
     idle = ((-0.15, -0.2, 1.0), (0.1, 0.25, 1.1))
 
@@ -340,7 +184,7 @@ def _window(angle: float) -> float:
 
 
 def _cost(way: float, left: float) -> float:
-    """How ill it suits to take the nut with the fingers along `way` rad, when it is to be turned by `left`."""
+    """Cost of taking the nut with the fingers along `way` rad, when it is to be turned by `left` rad."""
     end: float = _window(way + left)
     # What cannot be turned whole can be laid down on the way; what cannot be gripped cannot.
     out = 40.0 * _beyond(way) + 20.0 * _beyond(end)
@@ -348,13 +192,13 @@ def _cost(way: float, left: float) -> float:
 
 
 def _beyond(angle: float) -> float:
-    """How far it is outside of what the wrist can surely turn to, rad."""
+    """How far it is outside the wrist's sure range, rad."""
     worst: float = max(0.0, _LOWEST - angle, angle - _HIGHEST)
     return worst
 
 
 def _down(angle: float) -> Array:
-    """(3, 3) of a hand that points down with its finger axis along `angle` rad."""
+    """(3, 3) of a gripper that points down with its finger axis along `angle` rad."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
 

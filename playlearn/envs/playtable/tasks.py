@@ -1,4 +1,4 @@
-"""The named tasks of PlayTable, CALVIN's 34 (Mees et al., 2022): where each starts, what it asks for, how it is judged.
+"""The named tasks of PlayTable, CALVIN's 34 (Mees et al., 2022): where each starts, its goal, its success.
 
 Left and right are the robot's: y > 0 is its left. Turned left is counter-clockwise as seen from above.
 Where a task does not say which block, `command` draws one of those that suit; the goal tells which it was.
@@ -12,18 +12,16 @@ from typing import Any
 import numpy as np
 
 from playlearn.envs.playtable import scene
-from playlearn.envs.playtable.blocks import DRAWS, LEFT, RIGHT, BlockTasks
+from playlearn.envs.playtable.block_tasks import DRAWS, LEFT, RIGHT, BlockTasks
+from playlearn.envs.playtable.fixture_tasks import drawer_tasks, lamp_tasks, slider_tasks
 from playlearn.envs.playtable.layout import (
     BLOCK_NAMES,
     BULB,
-    CLOSED,
     DRAWER,
     LANDING_Y,
     LED,
-    LEVER,
     LYING_Z,
     OPEN,
-    SLIDER,
     STOWED_Z,
     bases,
     block,
@@ -40,13 +38,11 @@ from playlearn.envs.playtable.layout import (
     supporter,
     tray_y,
     with_block,
-    with_drawer,
 )
 from playlearn.episode import Array
 from playlearn.sim.environment import Task
 
 _ALL = range(len(BLOCK_NAMES))
-_SLID = 0.02  # meters from its ends at which the slider counts as left or right
 
 
 def playtable_tasks() -> Mapping[str, Task]:
@@ -56,12 +52,12 @@ def playtable_tasks() -> Mapping[str, Task]:
     tasks = (
         *(block.rotate(name, side) for block in blocks for name, side in sides),
         *(block.push(name, side) for block in blocks for name, side in sides),
-        *_of_slider(),
-        *_of_drawer(),
+        *slider_tasks(),
+        *drawer_tasks(),
         *(lift for block in blocks for lift in block.lifts()),
         *_of_any_block(),
-        *_of_lamp("lightbulb", "lever", BULB),
-        *_of_lamp("led", "lamp", LED),
+        *lamp_tasks("lightbulb", "lever", BULB),
+        *lamp_tasks("led", "lamp", LED),
     )
     return MappingProxyType({task.name: task for task in tasks})
 
@@ -188,7 +184,7 @@ def _with_some(
 
 
 def _came(inside: Callable[[Array, int], bool]) -> Callable[[Array, Array, Array], bool]:
-    """Content exactly when every block that the goal shows newly there is there."""
+    """True exactly when every block that the goal shows newly there is there."""
 
     def judge(start: Array, achieved: Array, goal: Array) -> bool:
         new = [i for i in _ALL if inside(goal, i) and not inside(start, i)]
@@ -198,90 +194,15 @@ def _came(inside: Callable[[Array, int], bool]) -> Callable[[Array, Array, Array
 
 
 def _stacked(start: Array, achieved: Array, goal: Array) -> bool:
-    """Content exactly when every block that the goal shows newly on another is on that one."""
+    """True exactly when every block that the goal shows newly on another is on that one."""
     new = {i: supporter(goal, i) for i in _ALL if supporter(goal, i) not in (None, supporter(start, i))}
     return bool(new) and all(supporter(achieved, i) == under for i, under in new.items())
 
 
 def _unstacked(start: Array, achieved: Array, goal: Array) -> bool:
-    """Content exactly when every block that the goal shows taken off another lies on the deck."""
+    """True exactly when every block that the goal shows taken off another lies on the deck."""
     off = [i for i in _ALL if supporter(start, i) is not None and supporter(goal, i) is None]
     return bool(off) and all(on_table(achieved, i) for i in off)
-
-
-# Fixtures -----------------------------------------------------------------------------------------------
-
-
-def _of_slider() -> tuple[Task, ...]:
-    def slide(name: str, sign: int) -> Task:
-        ends = {RIGHT: (0.0, _SLID), LEFT: (scene.SLIDER_TRAVEL - _SLID, scene.SLIDER_TRAVEL)}
-
-        def suits(achieved: Array) -> bool:
-            return bool(abs(achieved[SLIDER] - np.mean(ends[sign])) > 0.08)
-
-        def arrange(env: Any, rng: np.random.Generator) -> None:
-            env.slide_slider(rng.uniform(*ends[-sign]))
-            env.refresh()
-
-        def command(achieved: Array, rng: np.random.Generator) -> Array:
-            goal = achieved.copy()
-            goal[SLIDER] = rng.uniform(*ends[sign])
-            return goal
-
-        def judge(start: Array, achieved: Array, goal: Array) -> bool:
-            return bool(abs(achieved[SLIDER] - goal[SLIDER]) < 0.03)
-
-        return Task(f"move_slider_{name}", "slider", suits, arrange, command, judge)
-
-    return slide("left", LEFT), slide("right", RIGHT)
-
-
-def _of_drawer() -> tuple[Task, ...]:
-    closed, opened = (0.0, 0.01), (scene.DRAWER_TRAVEL - 0.02, scene.DRAWER_TRAVEL)
-
-    def slide(
-        name: str, suits: Callable[[Array], bool], before: tuple[float, float], after: tuple[float, float]
-    ) -> Task:
-        def arrange(env: Any, rng: np.random.Generator) -> None:
-            env.slide_drawer(rng.uniform(*before))
-            env.refresh()
-
-        def command(achieved: Array, rng: np.random.Generator) -> Array:
-            return with_drawer(achieved, rng.uniform(*after))
-
-        def judge(start: Array, achieved: Array, goal: Array) -> bool:
-            return bool(abs(achieved[DRAWER] - goal[DRAWER]) < 0.03)
-
-        return Task(name, name, suits, arrange, command, judge)
-
-    return (
-        slide("open_drawer", lambda achieved: bool(achieved[DRAWER] < CLOSED), closed, opened),
-        slide("close_drawer", lambda achieved: bool(achieved[DRAWER] > OPEN), opened, closed),
-    )
-
-
-def _of_lamp(name: str, kind: str, index: int) -> tuple[Task, ...]:
-    def switch(verb: str, lit: bool) -> Task:
-        def arrange(env: Any, rng: np.random.Generator) -> None:
-            env.switch(**{kind: not lit})
-            env.refresh()
-
-        def command(achieved: Array, rng: np.random.Generator) -> Array:
-            goal = achieved.copy()
-            goal[index] = float(lit)
-            if index == BULB:
-                goal[LEVER] = scene.LEVER_RANGE if lit else -scene.LEVER_RANGE
-            return goal
-
-        def judge(start: Array, achieved: Array, goal: Array) -> bool:
-            return bool((achieved[index] > 0.5) == lit)
-
-        def suits(achieved: Array) -> bool:
-            return bool((achieved[index] > 0.5) != lit)
-
-        return Task(f"turn_{verb}_{name}", kind, suits, arrange, command, judge)
-
-    return switch("on", True), switch("off", False)
 
 
 # Where they start ---------------------------------------------------------------------------------------

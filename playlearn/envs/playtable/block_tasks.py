@@ -35,7 +35,7 @@ NEAR = 0.04  # meters from where the goal shows it
 DRAWS = 10  # in which a block is laid down so that a task can begin
 _REACH, _LEAST = 0.10, 0.07  # meters over which a block is pushed: at most and at least
 _TURN = (0.7, 1.2)  # radians by which a block is turned
-_FURTHEST = 1.3  # radians of yaw, beyond which the wrist would have to turn round
+_FURTHEST = 1.3  # radians of yaw, beyond which the wrist would have to turn around
 
 
 @dataclass(frozen=True)

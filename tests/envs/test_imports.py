@@ -1,0 +1,18 @@
+"""An implementation never imports its config: no module here imports, by any way, itself."""
+
+import grimp
+
+
+def test_nothing_is_imported_in_a_circle() -> None:
+    """Imports inside functions count too: OGBench's configs import their environments there."""
+    graph = grimp.build_graph("playlearn", cache_dir=None)
+    rooms = ("playlearn.envs", "playlearn.oracles", "playlearn.sim", "playlearn.teleop")
+    modules = sorted(module for module in graph.modules if module.startswith(rooms))
+    assert "playlearn.envs.ogbench.cube" in graph.find_modules_directly_imported_by("playlearn.envs.ogbench.config")
+    circles = [
+        (module, imported)
+        for module in modules
+        for imported in graph.find_modules_directly_imported_by(module)
+        if graph.chain_exists(importer=imported, imported=module)
+    ]
+    assert circles == []
