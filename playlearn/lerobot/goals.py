@@ -39,7 +39,7 @@ from playlearn.store.lerobot.content import (
     Entry,
     Features,
     flags,
-    pictures,
+    image_features,
     steps,
     subtasks,
     vectors,
@@ -133,7 +133,7 @@ class Windows:
         made = vectors({STATE: spec.state_names, ACHIEVED: both, ACTION: spec.action_names, GOAL_STATE: wanted})
         sizes = self.store.cameras()
         goals = {f"goal_{camera}": sizes[camera] for camera in self.cameras}
-        return made | flags(INTERVENTION, SUCCESS) | pictures(sizes | goals)
+        return made | flags(INTERVENTION, SUCCESS) | image_features(sizes | goals)
 
     def entry(self, i: int) -> Entry:
         window = self.windows[i]

@@ -9,15 +9,17 @@ from playlearn.lerobot.goals import GOAL_STATE, RelabelConfig, Windows
 from playlearn.report.lerobot_card import PICTURE, CardFacts, lerobot_card, lerobot_picture
 from playlearn.store import Store
 from playlearn.store.lerobot.content import Content, Play
-from playlearn.store.lerobot.export import Codec, Fidelity, Said, write_lerobot
+from playlearn.store.lerobot.export import Codec, Fidelity, ProgressCallback, write_lerobot
 
 TAG = "v3.0"  # the version of the format, under which LeRobot looks for a dataset on the Hub
 
 
-def share(content: Content, out: Path, videos: Codec | None, progress: Said | None = None) -> dict[str, Fidelity]:
+def share(
+    content: Content, out: Path, videos: Codec | None, progress: ProgressCallback | None = None
+) -> dict[str, Fidelity]:
     """Write a LeRobot dataset with its card; see `write_lerobot`."""
 
-    def beside(root: Path, fidelity: Mapping[str, Fidelity]) -> None:
+    def write_extras(root: Path, fidelity: Mapping[str, Fidelity]) -> None:
         picture = lerobot_picture(content.store, out.name)
         if picture:
             (root / PICTURE).write_bytes(picture)
@@ -26,7 +28,7 @@ def share(content: Content, out: Path, videos: Codec | None, progress: Said | No
         told = {camera: str(read) for camera, read in fidelity.items()}
         (root / "README.md").write_text(lerobot_card(content.store, features, told, facts), encoding="utf-8")
 
-    return write_lerobot(content, out, videos=videos, progress=progress, beside=beside)
+    return write_lerobot(content, out, videos=videos, progress=progress, write_extras=write_extras)
 
 
 def contents(store: Store, goals: RelabelConfig | None = None, *, subtasks: bool = False) -> Content:

@@ -75,7 +75,7 @@ def test_robomimic_numbers_come_over_as_they_are(tmp_path: Path) -> None:
 def test_what_is_imported_can_be_chosen(tmp_path: Path) -> None:
     source = robomimic(tmp_path / "image.hdf5")
     config = RobomimicConfig(state=("robot0_joint_pos",), achieved=(), cameras=(), mask="valid", fps=5)
-    store = import_recordings(RobomimicFile(source, config), tmp_path / "store")
+    store = import_recordings(config.build(source), tmp_path / "store")
     assert store.indices().tolist() == [0, 3, 6, 9]
     assert store.spec.state_names == tuple(f"robot0_joint_pos.{k}" for k in range(7))
     assert (store.spec.achieved_names, store.cameras(), store.spec.fps) == ((), {}, 5)
@@ -85,7 +85,7 @@ def test_what_is_imported_can_be_chosen(tmp_path: Path) -> None:
         (RobomimicConfig(cameras=("front",)), "cameras: .* has no 'front'"),
     ):
         with pytest.raises(UsageError, match=words):
-            RobomimicFile(source, wrong)
+            wrong.build(source)
 
 
 def test_an_interrupted_import_goes_on_and_nothing_comes_twice(tmp_path: Path) -> None:
@@ -103,7 +103,7 @@ def test_an_interrupted_import_goes_on_and_nothing_comes_twice(tmp_path: Path) -
     assert len(store) == 12
     assert inodes.items() <= {path.name: path.stat().st_ino for path in (out / "episodes").iterdir()}.items()
     with pytest.raises(UsageError, match="imported with another mask"):
-        import_recordings(RobomimicFile(source, RobomimicConfig(mask="train")), out)
+        import_recordings(RobomimicFile(source, mask="train"), out)
     (out / "import.json").unlink()
     with pytest.raises(UsageError, match=r"not made by `playlearn import`"):
         import_recordings(RobomimicFile(source), out)
@@ -165,8 +165,8 @@ def test_files_that_are_none_of_it_are_told_so(tmp_path: Path, capsys: pytest.Ca
     robomimic(tmp_path / "raw.hdf5", demos=1, change=_without("demo_0/obs"))
     for name, words in (
         ("missing", "there is no file"),
-        ("text", "is no HDF5 file"),
-        ("half", "not a whole one"),
+        ("text", "is not an HDF5 file"),
+        ("half", "is incomplete"),
         ("empty", "holds no demonstration"),
         ("other", "has no group `data`"),
         ("mask", "mask 'train' names demo_1, and there is no such demonstration"),
@@ -257,11 +257,11 @@ def test_broken_npz_is_told_so(tmp_path: Path) -> None:
     objects = np.array([{"a": 1}] * rows, dtype=object)
     for name, other, words in (
         ("objects", {"actions": objects}, "holds Python objects, which are not read"),
-        ("short", {"actions": np.zeros((rows - 1, 5), np.float32)}, "do not have as many rows each"),
+        ("short", {"actions": np.zeros((rows - 1, 5), np.float32)}, "differ in their number of rows"),
         ("open", {"terminals": np.zeros(rows, bool)}, "last row does not end an episode"),
         ("images", {"observations": np.zeros((rows, 8, 8, 3), np.uint8)}, "holds images"),
-        ("maze", {"observations": np.zeros((rows, 29), np.float32)}, "neither those of a cube world"),
-        ("ant", {"actions": np.zeros((rows, 8), np.float32)}, "not those of a manipulation world"),
+        ("maze", {"observations": np.zeros((rows, 29), np.float32)}, "neither a cube environment"),
+        ("ant", {"actions": np.zeros((rows, 8), np.float32)}, "not those of a manipulation environment"),
         ("columns", {"observations": np.asfortranarray(np.zeros((rows, 28), np.float32))}, "column by column"),
     ):
         with pytest.raises(StoreError, match=words):
@@ -274,7 +274,7 @@ def test_broken_npz_is_told_so(tmp_path: Path) -> None:
     assert list(alone.problems()) == [1]
     whole = (tmp_path / "nan.npz").read_bytes()
     (tmp_path / "half.npz").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(StoreError, match="not a whole one"):
+    with pytest.raises(StoreError, match="is incomplete"):
         OgbenchFile(tmp_path / "half.npz")
     with zipfile.ZipFile(tmp_path / "few.npz", "w") as archive, archive.open("terminals.npy", "w") as stream:
         np.lib.format.write_array(stream, np.array([False, True]))

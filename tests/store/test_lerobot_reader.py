@@ -20,6 +20,7 @@ from playlearn.store import LeRobotStoreConfig, NativeStore, Store, StoreConfig,
 from playlearn.store.importing import import_recordings
 from playlearn.store.lerobot import frames
 from playlearn.store.lerobot.export import export_lerobot
+from playlearn.store.lerobot.reader import LeRobotStore
 from playlearn.store.lerobot.recordings import LeRobotRecordings
 from tests.synthetic import make_store
 
@@ -56,7 +57,7 @@ def theirs(copy: Path) -> Path:
     return copy
 
 
-def opened(root: Path, **settings: Any) -> Store:
+def opened(root: Path, **settings: Any) -> LeRobotStore:
     return LeRobotStoreConfig(root=root, cache=root.parent / "frames", **settings).build()
 
 
@@ -113,11 +114,11 @@ def test_frames_are_decoded_once_and_go_on_where_they_stopped(theirs: Path, monk
 
     asked: list[int] = []
 
-    def counting(described: Any, row: Any, sizes: Any) -> Any:
+    def counting(metadata: Any, row: Any, sizes: Any) -> Any:
         asked.append(row.index)
-        return frames.decoded(described, row, sizes)
+        return frames.decode_episode(metadata, row, sizes)
 
-    monkeypatch.setattr(reader, "decoded", counting)
+    monkeypatch.setattr(reader, "decode_episode", counting)
     one = opened(theirs)
     first = np.array(one.array(1, "observation.images.front"))
     assert asked == [1]
@@ -294,12 +295,12 @@ def test_a_dataset_without_the_features_asked_for_says_which_it_has(theirs: Path
 
 
 def test_it_can_be_imported_too(copy: Path, store: NativeStore, tmp_path: Path) -> None:
-    made = import_recordings(LeRobotRecordings(LeRobotStoreConfig(root=copy, cache=tmp_path / "f")), tmp_path / "store")
+    made = import_recordings(LeRobotRecordings(opened(copy, skip_broken=True)), tmp_path / "store")
     for i in range(3):
         np.testing.assert_array_equal(made.array(i, "sim.state"), store.array(i, "sim.state"))
         assert made.meta(i) == store.meta(i)
     BROKEN["not a number"][0](copy)
-    broken = LeRobotRecordings(LeRobotStoreConfig(root=copy, cache=tmp_path / "f"))
+    broken = LeRobotRecordings(opened(copy, skip_broken=True))
     with pytest.raises(StoreError, match=r"1 of 3 recordings are broken(.|\n)*episode 1: action is not finite"):
         import_recordings(broken, tmp_path / "other")
     assert len(import_recordings(broken, tmp_path / "other", skip_broken=True)) == 2

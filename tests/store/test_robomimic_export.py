@@ -68,7 +68,7 @@ def test_masks_are_what_training_holds_out(store: NativeStore, tmp_path: Path) -
     assert not val_mask(back, 0.0).any()  # who wants nothing held out gets all
     # Nothing would be left to one side: then numbers decide, as for any play.
     for name, config in {"one": RobomimicConfig(mask="train"), "other": RobomimicConfig(mask="valid")}.items():
-        part = import_recordings(RobomimicFile(tmp_path / "a.hdf5", config), tmp_path / name)
+        part = import_recordings(config.build(tmp_path / "a.hdf5"), tmp_path / name)
         assert {part.meta(i).split for i in range(len(part))} == {""}
 
 

@@ -86,7 +86,7 @@ def test_what_is_no_demonstration_is_told_so(lift: Any, tmp_path: Path) -> None:
         ),
         ('<mujoco><include file="/etc/passwd"/></mujoco>', "includes other files"),
         ("<mujoco><worldbody></mujoco>", "cannot be compiled"),
-        ("<mujoco><worldbody/></mujoco>", "has no hand"),
+        ("<mujoco><worldbody/></mujoco>", "has no end effector"),
     ],
 )
 def test_a_model_reads_nothing_but_robosuites_files(xml: str, words: str) -> None:
