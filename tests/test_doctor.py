@@ -11,14 +11,14 @@ from playlearn.doctor import Finding
 def test_every_needed_thing_that_is_missing_comes_with_the_command_that_mends_it() -> None:
     findings = doctor.examine()
     assert {"Python", "packages", "cores", "memory", "disk", "chromium"} <= {finding.name for finding in findings}
-    assert all(finding.ok or finding.mend for finding in findings if finding.needed)
+    assert all(finding.ok or finding.fix for finding in findings if finding.needed)
 
 
 @pytest.mark.parametrize(("ok", "needed", "code"), [(True, True, 0), (False, False, 0), (False, True, 1)])
 def test_only_what_is_needed_and_missing_fails(
     ok: bool, needed: bool, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    finding = Finding("thing", "somewhere", ok, needed, mend="fetch thing")
+    finding = Finding("thing", "somewhere", ok, needed, fix="fetch thing")
     monkeypatch.setattr(doctor, "examine", lambda: [finding])
     assert doctor.doctor() == code
     assert ("fetch thing" in capsys.readouterr().out) is not ok
@@ -44,4 +44,4 @@ def test_a_back_end_that_cannot_draw_is_told_from_one_that_can(monkeypatch: pyte
     images, *backends = doctor.gl()
     assert not images.ok
     working = [found.name.removeprefix("GL by ") for found in backends if found.ok]
-    assert images.mend == (f"export MUJOCO_GL={working[0]}" if working else doctor.GL_COMMAND)
+    assert images.fix == (f"export MUJOCO_GL={working[0]}" if working else doctor.GL_COMMAND)

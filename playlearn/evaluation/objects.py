@@ -1,4 +1,4 @@
-"""What a goal speaks of, thing by thing: the parts of `achieved` that share a name, `red` of `red.x` and `red.y`."""
+"""Objects and fixtures in the achieved goal: dimensions that share a name, `red` of `red.x` and `red.y`."""
 
 from collections.abc import Sequence
 
@@ -8,21 +8,21 @@ from playlearn.episode import Array
 from playlearn.sim.environment import Environment
 
 
-def things(names: Sequence[str]) -> dict[str, list[int]]:
-    """Thing -> the columns of `achieved` that are its own, in order."""
+def object_columns(names: Sequence[str]) -> dict[str, list[int]]:
+    """Object -> its columns of `achieved`, in order."""
     owners = [name.split(".")[0] for name in names]
     return {owner: [k for k, other in enumerate(owners) if other == owner] for owner in dict.fromkeys(owners)}
 
 
 def misplaced(environment: Environment, achieved: Array, goal: Array, tolerances: float = 1.0) -> list[str]:
-    """The things that, were all else as the goal (G,) shows it, would still not be reached.
+    """The objects that would still not be reached if everything else were as in the goal (G,).
 
-    tolerances: how many of the environment's own they may be off.
+    tolerances: how many of the environment's own tolerances an object may be off.
     """
     found = []
-    for thing, columns in things(environment.spec.achieved_names).items():
+    for name, columns in object_columns(environment.spec.achieved_names).items():
         only = np.array(goal)
         only[columns] += (achieved[columns] - goal[columns]) / tolerances
         if not environment.reached(only, goal):
-            found.append(thing)
+            found.append(name)
     return found

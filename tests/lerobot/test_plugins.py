@@ -146,7 +146,7 @@ def test_a_config_says_what_the_policy_reads(run: Path, tmp_path: Path) -> None:
     seen = {key for key in told["input_features"] if "goal" in key}
     assert seen
     assert told["output_features"] == {"action": {"type": "ACTION", "shape": [3]}}
-    with pytest.raises(UsageError, match="is there already"):
+    with pytest.raises(UsageError, match="already exists"):
         export_policy(run, tmp_path / "out")
 
 

@@ -1,4 +1,4 @@
-"""The report in a real browser: whole, self-contained, and saying what results.json says."""
+"""The report in a real browser: complete, self-contained, and consistent with results.json."""
 
 import io
 import math
@@ -30,7 +30,7 @@ def row(episodes: int, won: int, strict: int) -> dict[str, Any]:
     }
 
 
-def contender(*tasks: tuple[int, int, int]) -> dict[str, Any]:
+def policy_rows(*tasks: tuple[int, int, int]) -> dict[str, Any]:
     totals = [sum(column) for column in zip(*tasks, strict=True)]
     named = {name: row(*task) for name, task in zip(("lamp_on", "move <puck>"), tasks, strict=True)}
     return {**row(*totals), "crashed": 0, "tasks": named}
@@ -39,8 +39,8 @@ def contender(*tasks: tuple[int, int, int]) -> dict[str, Any]:
 RESULTS: dict[str, Any] = {
     "suite": "point_tasks",
     "goal_modality": "image",
-    **contender((7, 5, 4), (6, 1, 0)),
-    "references": {"expert": contender((7, 7, 7), (6, 6, 5)), "random": contender((7, 1, 0), (6, 0, 0))},
+    **policy_rows((7, 5, 4), (6, 1, 0)),
+    "references": {"expert": policy_rows((7, 7, 7), (6, 6, 5)), "random": policy_rows((7, 1, 0), (6, 0, 0))},
     "redraws": 3,
     "seed": 0,
     "renderer": "numpy",
@@ -104,11 +104,11 @@ def test_it_loads_in_silence_and_fetches_nothing(opened: tuple[Any, list[str], l
 
 
 def test_every_picture_is_there(opened: tuple[Any, list[str], list[str]]) -> None:
-    """3 attempts of 3 stills each and 2 films: 11 pictures, in the camera's own shape of 24 x 32."""
+    """3 episodes of 3 stills each and 2 films: 11 pictures, in the camera's own shape of 24 x 32."""
     sizes = opened[0].eval_on_selector_all("img", "all => all.map(i => [i.naturalWidth, i.naturalHeight])")
     assert len(sizes) == 11
     assert sizes.count([128, 96]) == 9
-    assert sizes.count([128 * 2 + 4, 96]) == 2, "films have the goal beside the attempt"
+    assert sizes.count([128 * 2 + 4, 96]) == 2, "films have the goal beside the episode"
 
 
 def test_the_table_says_what_the_results_say(opened: tuple[Any, list[str], list[str]]) -> None:
@@ -135,9 +135,9 @@ def test_curves_end_where_the_rates_are(opened: tuple[Any, list[str], list[str]]
     ends = opened[0].eval_on_selector_all(
         "#curves polyline", "all => all.map(l => l.points.getItem(l.points.numberOfItems - 1).y)"
     )
-    policy, expert, chance = ends
+    policy, expert, random = ends
     assert expert == pytest.approx(12, abs=0.1)
-    assert expert < policy < chance
+    assert expert < policy < random
 
 
 def test_failures_have_pictures_and_reasons(opened: tuple[Any, list[str], list[str]]) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 from playlearn.report import progress as module
-from playlearn.report.progress import Pace, Progress, spoken
+from playlearn.report.progress import Pace, Progress, format_seconds
 
 
 class Clock:
@@ -117,4 +117,4 @@ def test_a_pace_forgets_the_first_ones_and_what_was_held_up() -> None:
 
 
 def test_time_is_said_as_people_say_it() -> None:
-    assert [spoken(seconds) for seconds in (0.4, 119.6, 121.0, 5400.0)] == ["0 s", "120 s", "2 min", "90 min"]
+    assert [format_seconds(seconds) for seconds in (0.4, 119.6, 121.0, 5400.0)] == ["0 s", "120 s", "2 min", "90 min"]

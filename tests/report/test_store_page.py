@@ -1,4 +1,4 @@
-"""A store's report in a real browser, and as film strips and card: whole, self-contained, and saying what is so."""
+"""A store's report in a real browser, as film strips and as card: complete, self-contained and correct."""
 
 import dataclasses
 import io
@@ -18,7 +18,7 @@ from playlearn.errors import RenderError, UsageError
 from playlearn.report.play import SkillAttempt, figures
 from playlearn.report.store_page import HEIGHT, WIDTH, heat_map, outline
 from playlearn.report.store_report import write_report
-from playlearn.report.strips import COLORS, FRAMES, choose, picture, stored_look, strips
+from playlearn.report.strips import COLORS, FRAMES, choose, picture, stored_images, strips
 from playlearn.rollout import rollout
 from playlearn.sim import Environment
 from playlearn.store import NativeStore, StoreSpec
@@ -78,18 +78,18 @@ def test_it_loads_in_silence_and_fetches_nothing(tab: tuple[Any, list[str]]) -> 
 
 @pytest.mark.slow
 def test_the_tables_say_what_the_numbers_say(tab: tuple[Any, list[str]], written: Path, store: NativeStore) -> None:
-    told = json.loads((written / "play.json").read_text())
-    assert told == json.loads(json.dumps(figures(store)))
-    for name, row in told["changes"].items():
+    play = json.loads((written / "play.json").read_text())
+    assert play == json.loads(json.dumps(figures(store)))
+    for name, row in play["changes"].items():
         assert tab[0].inner_text(f"#changed [data-group={name}] .count") == str(row["count"])
-    for name, row in told["mishaps"].items():
+    for name, row in play["mishaps"].items():
         assert tab[0].inner_text(f"#mishaps [data-mishap={name}] td:nth-child(2)") == str(row["count"])
-    assert tab[0].locator("#skills tbody tr").count() == len(told["skills"]) == 3
+    assert tab[0].locator("#skills tbody tr").count() == len(play["skills"]) == 3
 
 
 @pytest.mark.slow
 def test_every_picture_is_there(tab: tuple[Any, list[str]]) -> None:
-    """Heat maps of the red thing and the hand, 24 random moments, and up to eight strips of ten pictures each."""
+    """Heat maps of the red block and the end effector, 24 random moments, and up to eight strips of ten images each."""
     sizes = tab[0].eval_on_selector_all("img", "all => all.map(i => [i.naturalWidth, i.naturalHeight])")
     assert all(width > 0 for width, _ in sizes)
     assert tab[0].locator("#maps img").count() == 2
@@ -133,7 +133,7 @@ def test_a_sheet_is_small_and_shows_the_stripes(written: Path) -> None:
 
 def test_a_strip_shows_its_own_attempt_from_first_to_last(store: NativeStore) -> None:
     """`tests.synthetic` writes the observation's index into the top left pixel."""
-    for strip in strips(store, stored_look(store), ["front"], 4, np.random.default_rng(1)):
+    for strip in strips(store, stored_images(store), ["front"], 4, np.random.default_rng(1)):
         assert strip.steps[0] == strip.attempt.begin
         assert strip.steps[-1] == strip.attempt.end - 1
         assert [int(image[0, 0, 0]) for image in strip.rows[0]] == list(strip.steps)
@@ -143,10 +143,10 @@ def test_a_strip_shows_its_own_attempt_from_first_to_last(store: NativeStore) ->
 
 def test_every_mark_that_occurs_is_chosen_once_before_any_twice() -> None:
     marks = [frozenset[str]()] * 30 + [frozenset({"slip"})] * 3 + [frozenset({"mistake"})]
-    tried = [SkillAttempt(k, 0, FRAMES, "x", own, cut=False) for k, own in enumerate(marks)]
-    chosen = choose(tried, 4, np.random.default_rng(0))
+    skill_attempts = [SkillAttempt(k, 0, FRAMES, "x", own, truncated=False) for k, own in enumerate(marks)]
+    chosen = choose(skill_attempts, 4, np.random.default_rng(0))
     assert sorted(sorted(one.marks) for one in chosen) == [[], ["mistake"], ["slip"], ["slip"]]
-    assert len(choose(tried, 100, np.random.default_rng(0))) == 34
+    assert len(choose(skill_attempts, 100, np.random.default_rng(0))) == 34
 
 
 def test_states_are_drawn_where_no_images_were_recorded(tmp_path: Path) -> None:

@@ -174,7 +174,7 @@ def test_an_evaluation_shows_the_goal_beside_what_was_achieved(evaluation: Path,
     out = view_results(evaluation, save=tmp_path / "results.rrd")
     assert out is not None
     found = logged(out)
-    assert found["/success"]["episode"] == [0, 1, 2]  # in order, the judged policy's alone
+    assert found["/success"]["episode"] == [0, 1, 2]  # in order, the evaluated policy's alone
     assert found["/success"]["Scalars:scalars"] == [[0.0], [1.0], [0.0]]
     text = found["/outcome"]["TextDocument:text"][1][0]
     assert "# push, episode 1\nreached (9 steps)" in text

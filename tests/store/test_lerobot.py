@@ -135,7 +135,7 @@ def test_what_cannot_be_exported_is_said(store: NativeStore, exported: Path, tmp
     (tmp_path / "taken" / "file").touch()
     with pytest.raises(StoreError, match="already exists: name another folder"):
         export_lerobot(store, tmp_path / "taken")
-    with pytest.raises(StoreError, match="is there already, a LeRobot dataset"):
+    with pytest.raises(StoreError, match="already exists, a LeRobot dataset"):
         export_lerobot(store, exported)
     empty = NativeStore.create(tmp_path / "empty", store.spec)
     with pytest.raises(StoreError, match="nothing to export"):

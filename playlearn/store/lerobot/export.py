@@ -91,9 +91,7 @@ def write_lerobot(
 
 def _check(content: Content, out: Path) -> None:
     if is_lerobot(out):
-        raise StoreError(
-            f"{out} is there already, a LeRobot dataset; remove it to write it anew, or name another folder"
-        )
+        raise StoreError(f"{out} already exists, a LeRobot dataset; remove it, or name another folder")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise StoreError(f"{out} already exists: name another folder")
     if len(content) == 0:
