@@ -77,7 +77,7 @@ def drawing(store: Store, episode: int, settling: SettlingConfig) -> "Figure":
         *([] if camera is None else [1.35]),
         0.5,
         0.3,
-        *(0.75 if curves_.moved else 0.22 for curves_ in curve_groups),
+        *(0.75 if group_curves.moved else 0.22 for group_curves in curve_groups),
     ]
     total = sum(heights) + TOP + BOTTOM
     figure = Figure(figsize=(WIDTH, total))
@@ -92,12 +92,12 @@ def drawing(store: Store, episode: int, settling: SettlingConfig) -> "Figure":
         _frames(rows[0], store.array(episode, IMAGES + camera)[at], centers)
     _fan(fan, labels, centers, seconds[at] / seconds[-1])
     _skills(skills, seconds, store.meta(episode).skills, store.array(episode, "skill"))
-    for axes, curves_ in zip(curves, curve_groups, strict=True):
+    for axes, group_curves in zip(curves, curve_groups, strict=True):
         for moment, end, each in zip(seconds[moments], seconds[ends], changed, strict=True):
-            own = curves_.group in each
+            own = group_curves.group in each
             axes.axvspan(moment, end, color=CHANGED if own else HOLD, lw=0, zorder=0)
             axes.axvline(moment, color="black", lw=1.2 if own else 0.4, zorder=1)
-        _curves(axes, seconds, curves_)
+        _curves(axes, seconds, group_curves)
     curves[-1].tick_params(labelbottom=True)
     curves[-1].set_xlabel("seconds")
     name = f"{Path(store.name()).name}, episode {store.indices()[episode]}"
@@ -109,12 +109,12 @@ def drawing(store: Store, episode: int, settling: SettlingConfig) -> "Figure":
 
 
 def _curve_groups(store: Store, episode: int, settling: SettlingConfig) -> list[CurveGroup]:
-    """A track for each group of achieved dimensions, and one each for gripper and arm."""
-    spec, every = store.spec, range(len(store))
-    settling = settling.measured((store.array(i, "achieved") for i in every), spec.achieved_names, spec.fps)
+    """Curves for each group of achieved dimensions, and for gripper and arm."""
+    spec, episodes = store.spec, range(len(store))
+    settling = settling.measured((store.array(i, "achieved") for i in episodes), spec.achieved_names, spec.fps)
     unit = thresholds(settling.change, spec.achieved_names, "change")
     curve_groups = _grouped(store.array(episode, "achieved"), spec.achieved_names, unit)
-    states = [store.array(i, "observation.state") for i in every]
+    states = [store.array(i, "observation.state") for i in episodes]
     robot = RobotReader.measured(states, spec.state_names, spec.fps, settling.robot)
     for group, columns, unit in (("gripper", robot.gripper, np.array([robot.opens])), ("arm", robot.arm, robot.moves)):
         names = tuple(spec.state_names[k].rpartition(".")[2] for k in columns)
@@ -175,17 +175,17 @@ def _skills(axes: "Axes", seconds: Array, names: Sequence[str], numbers: Array) 
         axes.text(1.005, 0.9 - 0.4 * k, mark_name(mark), color=_color(mark), fontsize=7, transform=axes.transAxes)
 
 
-def _curves(axes: "Axes", seconds: Array, curves_: CurveGroup) -> None:
-    for number, (name, values) in enumerate(zip(curves_.names, curves_.values.T, strict=True)):
+def _curves(axes: "Axes", seconds: Array, group_curves: CurveGroup) -> None:
+    for number, (name, values) in enumerate(zip(group_curves.names, group_curves.values.T, strict=True)):
         axes.plot(seconds, values, lw=1.1, color=PALETTE[number % len(PALETTE)], label=name)
     axes.set(xlim=(0, seconds[-1]))
-    axes.set_ylabel(curves_.group, rotation=0, ha="right", va="center", fontsize=9)
+    axes.set_ylabel(group_curves.group, rotation=0, ha="right", va="center", fontsize=9)
     axes.tick_params(labelbottom=False, bottom=False, labelsize=6)
     axes.spines[["top", "right", "bottom"]].set_visible(False)
-    if not curves_.moved:
+    if not group_curves.moved:
         axes.set(yticks=[], ylim=(-1, 1))
         return
-    low, high = float(curves_.values.min()), float(curves_.values.max())
+    low, high = float(group_curves.values.min()), float(group_curves.values.max())
     step = max(1, math.ceil((high - low) / 4))
     axes.set_yticks(np.arange(math.floor(low / step), math.ceil(high / step) + 1) * step)
     axes.set_ylim(low - 0.08 * (high - low), high + 0.08 * (high - low))

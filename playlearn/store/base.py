@@ -64,10 +64,10 @@ class StoreSpec:
     def check(self, other: "StoreSpec") -> None:
         """Raises StoreError that names the first field in which an episode's spec differs from its store's."""
         for entry in dataclasses.fields(self):
-            mine, its = plain(getattr(self, entry.name)), plain(getattr(other, entry.name))
-            if mine != its:
+            own, theirs = plain(getattr(self, entry.name)), plain(getattr(other, entry.name))
+            if own != theirs:
                 raise StoreError(
-                    f"an episode whose {entry.name} differs from the store's: {its} is not {mine}; "
+                    f"an episode whose {entry.name} differs from the store's: {theirs} is not {own}; "
                     "put it into a store of its own"
                 )
 

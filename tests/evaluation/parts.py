@@ -1,4 +1,4 @@
-"""What the tests of evaluation share: a suite in the point environment, its play, and specs of policies."""
+"""Parts of the tests of evaluation: a suite in the point environment, its play, and specs of policies."""
 
 from pathlib import Path
 

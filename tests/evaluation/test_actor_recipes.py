@@ -24,7 +24,7 @@ from tests.fakes import PointConfig, PointEnv, point_expert
 torch.set_num_threads(1)
 
 
-def test_the_policy_is_shown_the_goal_its_way(image_run: Path) -> None:
+def test_the_policy_gets_the_goal_in_its_modality(image_run: Path) -> None:
     """A policy that reads images gets the goal's image in the size of its own camera."""
     seen: list[Goal] = []
 
@@ -40,7 +40,7 @@ def test_the_policy_is_shown_the_goal_its_way(image_run: Path) -> None:
 
 
 def test_a_policy_of_another_environment_is_refused(tmp_path: Path) -> None:
-    """Its achieved goal has a drawer, this world has none; nothing is simulated."""
+    """Its achieved goal has a drawer, this environment has none; nothing is simulated."""
     other = replace(spec(), achieved_names=("puck.x", "puck.y", "drawer"))
     PolicyConfig(chunk=8).build(other, None, seed=0).save(tmp_path / "run" / "policy")
     arguments: dict[str, Any] = {"run": tmp_path / "run", "goal": "state", "out": tmp_path / "out", "workers": 0}
@@ -57,12 +57,12 @@ def test_a_policy_of_another_robot_is_refused(tmp_path: Path) -> None:
 
 
 def test_subgoals_lead_a_policy(tmp_path: Path, run: Path, image_run: Path) -> None:
-    """A proposer of no change has the policy shown the goal itself, time and again; the results name both."""
+    """A high-level policy that proposes no change gives the low-level policy the goal itself; the results name both."""
     proposes = replace(spec(), action_names=spec().achieved_names, predicts="next_settled_delta")
-    proposer = PolicyConfig(chunk=1).build(proposes, None, seed=0)
-    for parameter in proposer.head.parameters():
+    high_level = PolicyConfig(chunk=1).build(proposes, None, seed=0)
+    for parameter in high_level.head.parameters():
         parameter.data.zero_()
-    proposer.save(tmp_path / "proposer" / "policy")
+    high_level.save(tmp_path / "proposer" / "policy")
     shown: list[Goal] = []
     arguments: dict[str, Any] = {"goal": "state", "workers": 0, "expert": point_expert, "references": False}
     suite, given = write(SUITE, tmp_path), [f"--subgoals={tmp_path / 'proposer'}"]

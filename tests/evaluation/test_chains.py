@@ -1,4 +1,4 @@
-"""Laws of several goals in a row, and of goals in which several things have changed."""
+"""Laws of chains of goals, and of goals in which several objects have changed."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -185,13 +185,13 @@ def test_multi_change_goals_show_every_change_and_have_larger_budgets() -> None:
     """Of two changes both are in the goal: the puck moved and the lamp lit; and there is time for each."""
     env = PointEnv(PointConfig())
     for e in range(8):
-        setup = MULTI_CHANGE.kind.setup(env, PointExpert(), e, 0, 60, ())
+        episode = MULTI_CHANGE.kind.setup(env, PointExpert(), e, 0, 60, ())
         changes = 1 + e % 2
-        start, goal = setup.start_achieved, setup.goal.achieved
+        start, goal = episode.start_achieved, episode.goal.achieved
         moved = [np.linalg.norm(start[:2] - goal[:2]) > 0.06, start[2] != goal[2]]
-        assert sum(moved) == changes == setup.expert_tasks.count(",") + 1
-        assert (setup.task, setup.max_steps) == (("1 change", 60), ("2 changes", 120))[e % 2]
-        assert setup.next_goals == ()
+        assert sum(moved) == changes == episode.expert_tasks.count(",") + 1
+        assert (episode.task, episode.max_steps) == (("1 change", 60), ("2 changes", 120))[e % 2]
+        assert episode.next_goals == ()
 
 
 def test_multi_change_goals_are_reached_by_the_expert_and_only_completely() -> None:

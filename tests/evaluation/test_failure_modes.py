@@ -56,7 +56,7 @@ Stop = tuple[Any, float]  # where to, (2,) or "puck"; grip
 
 @dataclass
 class Script:
-    """Goes from stop to stop, each once the one before is reached; then on between the last two, or stays."""
+    """Moves from stop to stop; then back and forth between the last two, or stays."""
 
     stops: list[Stop]
     wander: bool = True
@@ -148,7 +148,7 @@ def test_a_pause_is_no_stall() -> None:
 
 
 def test_a_closing_elsewhere_is_no_missed_grasp() -> None:
-    """Without reach for it, the same closing as in the missed grasp is none at the puck."""
+    """With a smaller grasp radius, the closing of the missed grasp is no attempt at the puck."""
     env = CorrectableEnv(HandConfig())
     env.set_state(START)
     script = CASES[failure_modes.MISSED][0]()

@@ -30,20 +30,20 @@ def test_heldout_play_gives_starts_and_goals(tmp_path: Path, run: Path) -> None:
     out = np.flatnonzero(val_episodes(store.indices(), 0.25))
     recorded = {tuple(state): (int(i), t) for i in out for t, state in enumerate(store.array(int(i), "sim.state"))}
     for e in range(20):
-        setup: EvalEpisode = kind.setup(env, PointExpert(), e, 0, 50, ("front",))
-        (i, t), (j, g) = recorded[tuple(setup.start_sim_state)], recorded[tuple(setup.goal_sim_state)]
+        episode: EvalEpisode = kind.setup(env, PointExpert(), e, 0, 50, ("front",))
+        (i, t), (j, g) = recorded[tuple(episode.start_sim_state)], recorded[tuple(episode.goal_sim_state)]
         assert i == j
         assert 10 <= g - t <= 20
-        assert not env.reached(setup.start_achieved, setup.goal.achieved)
-        np.testing.assert_array_equal(setup.goal.achieved, store.array(i, "achieved")[g])
-        env.set_state(setup.goal_sim_state)
-        np.testing.assert_array_equal(setup.goal.images["front"], env.render("front"))
-        assert set(setup.task.split(" + ")) <= {"puck", "lamp"}
+        assert not env.reached(episode.start_achieved, episode.goal.achieved)
+        np.testing.assert_array_equal(episode.goal.achieved, store.array(i, "achieved")[g])
+        env.set_state(episode.goal_sim_state)
+        np.testing.assert_array_equal(episode.goal.images["front"], env.render("front"))
+        assert set(episode.task.split(" + ")) <= {"puck", "lamp"}
 
 
 @pytest.mark.slow
 def test_heldout_play_of_the_run_itself(tmp_path: Path, run: Path) -> None:
-    """Store and share are read from the run's own config where the suite leaves them open."""
+    """Store and held-out fraction are read from the run's config if the suite leaves them open."""
     play(tmp_path / "play")
     folder = tmp_path / "run"
     PolicyConfig(chunk=8).build(spec(), None, seed=0).save(folder / "policy")

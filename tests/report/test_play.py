@@ -112,7 +112,7 @@ def test_seconds_between_changes_are_counted_from_one_to_the_next(tmp_path: Path
 
 
 def test_a_map_has_y_upwards_and_x_to_the_right(tmp_path: Path) -> None:
-    """The red block spends 30 moments at the left top and 11 at the right bottom; the hand stays in between."""
+    """The red block spends 30 moments at the left top and 11 at the right bottom; the end effector stays in between."""
     achieved = np.zeros((41, 3), np.float32)
     achieved[:30, :2], achieved[30:, :2] = (-0.2, 0.1), (0.2, -0.1)
     play = figures(stored(tmp_path / "play", episode(["x"] * 40, achieved=achieved)))["heat_maps"]
