@@ -1,4 +1,4 @@
-"""What this machine has, what is missing, and the command that mends it."""
+"""What this machine has, what is missing, and the command that fixes it."""
 
 import importlib.metadata
 import json
@@ -31,17 +31,24 @@ with mujoco.Renderer(model, 32, 32) as renderer:
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing looked at. needed: the project does not work without it. mend: a command, where there is one."""
+    """One finding.
+
+    name: what was examined.
+    found: the result.
+    ok: whether it is as it should be.
+    needed: the project does not work without it.
+    fix: command that fixes it, if there is one.
+    """
 
     name: str
     found: str
     ok: bool = True
     needed: bool = False
-    mend: str = ""
+    fix: str = ""
 
 
 def doctor(*, json_output: bool = False) -> int:
-    """Print what was found; 0 where everything needed is there, else 1."""
+    """Print the findings; 0 if everything that is needed is there, else 1."""
     findings = examine()
     if json_output:
         print(json.dumps([asdict(finding) for finding in findings], indent=2))
@@ -51,7 +58,7 @@ def doctor(*, json_output: bool = False) -> int:
 
 
 def examine() -> list[Finding]:
-    """Everything that `playlearn doctor` looks at; nothing is changed."""
+    """Everything that `playlearn doctor` examines; nothing is changed."""
     return [
         _python(),
         _packages(ROOT / "requirements.lock"),
@@ -68,32 +75,34 @@ def examine() -> list[Finding]:
 
 
 def gl() -> list[Finding]:
-    """Headless OpenGL, by really drawing with each back end in a process of its own."""
+    """Headless OpenGL, tested by rendering with each back end in its own process."""
     drawn = {backend: _draw(backend) for backend in ("egl", "osmesa")}
     chosen = os.environ.get("MUJOCO_GL", "egl")
     works = bool(drawn.get(chosen) or _draw(chosen))
-    mend = GL_COMMAND
+    fix = GL_COMMAND
     if not works and any(drawn.values()):
-        mend = f"export MUJOCO_GL={next(backend for backend, device in drawn.items() if device)}"
+        fix = f"export MUJOCO_GL={next(backend for backend, device in drawn.items() if device)}"
     return [
-        Finding(f"images by {chosen}", "can be drawn" if works else "cannot be drawn", works, needed=True, mend=mend),
+        Finding(
+            f"images by {chosen}", "can be rendered" if works else "cannot be rendered", works, needed=True, fix=fix
+        ),
         *(
-            Finding(f"GL by {backend}", device or "does not draw", bool(device), mend=GL_COMMAND)
+            Finding(f"GL by {backend}", device or "does not render", bool(device), fix=GL_COMMAND)
             for backend, device in drawn.items()
         ),
     ]
 
 
 def main() -> int:
-    """For set-up: 0 where images can be drawn, else 1 and the command that mends it on stdout."""
+    """For set-up: 0 if images can be rendered, else 1 and the command that fixes it on stdout."""
     images = gl()[0]
     if not images.ok:
-        print(images.mend)
+        print(images.fix)
     return 0 if images.ok else 1
 
 
 def _draw(backend: str) -> str:
-    """The device that drew a red plane, "" where none could."""
+    """The device that rendered a red plane; "" if none could."""
     environment = {**os.environ, "MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend}
     try:
         done = subprocess.run(
@@ -106,11 +115,11 @@ def _draw(backend: str) -> str:
 
 def _python() -> Finding:
     right = sys.version_info[:2] == (3, 12)
-    return Finding("Python", f"{platform.python_version()} ({sys.executable})", right, needed=True, mend="make setup")
+    return Finding("Python", f"{platform.python_version()} ({sys.executable})", right, needed=True, fix="make setup")
 
 
 def _packages(lock: Path) -> Finding:
-    """Installed packages beside the lock file; outside a checkout there is no lock to hold them to."""
+    """Installed packages compared with the lock file; outside a checkout there is none."""
     if not lock.exists():
         return Finding("packages", "no lock file to compare with")
     wrong = []
@@ -123,11 +132,11 @@ def _packages(lock: Path) -> Finding:
         if installed != version:
             wrong.append(f"{name} {installed}, not {version}")
     found = f"{len(pinned) - len(wrong)} of {len(pinned)} as locked"
-    return Finding("packages", "; ".join([found, *wrong[:5]]), not wrong, needed=True, mend="make setup")
+    return Finding("packages", "; ".join([found, *wrong[:5]]), not wrong, needed=True, fix="make setup")
 
 
 def _pinned(lock: str) -> dict[str, str]:
-    """Package -> version, for the lines that are meant for this machine."""
+    """Package -> version, for the lines that apply to this machine."""
     from packaging.markers import Marker
 
     lines = re.findall(r"^([\w.-]+)==([^\s;]+)(?: ; ([^\\\n]+))?", lock, re.MULTILINE)
@@ -158,9 +167,9 @@ def _disk() -> Finding:
     return Finding("disk", f"{free:.0f} GiB free here (the demo takes about 2)", free >= 2)
 
 
-def _program(name: str, purpose: str, mend: str) -> Finding:
+def _program(name: str, purpose: str, fix: str) -> Finding:
     path = shutil.which(name)
-    return Finding(name, path or f"not there (only for {purpose})", path is not None, mend=mend)
+    return Finding(name, path or f"missing (only for {purpose})", path is not None, fix=fix)
 
 
 def _lines(findings: Sequence[Finding]) -> list[str]:
@@ -169,8 +178,8 @@ def _lines(findings: Sequence[Finding]) -> list[str]:
     for finding in findings:
         mark = "ok" if finding.ok else "MISSING" if finding.needed else "-"
         lines.append(f"{mark:<8}{finding.name:<{width}}  {finding.found}")
-        if not finding.ok and finding.mend:
-            lines.append(f"{'':<8}{'':<{width}}  mend it: {finding.mend}")
+        if not finding.ok and finding.fix:
+            lines.append(f"{'':<8}{'':<{width}}  fix: {finding.fix}")
     return lines
 
 

@@ -8,17 +8,17 @@ from playlearn import doctor
 from playlearn.doctor import Finding
 
 
-def test_every_needed_thing_that_is_missing_comes_with_the_command_that_mends_it() -> None:
+def test_every_missing_requirement_comes_with_the_command_that_fixes_it() -> None:
     findings = doctor.examine()
     assert {"Python", "packages", "cores", "memory", "disk", "chromium"} <= {finding.name for finding in findings}
-    assert all(finding.ok or finding.mend for finding in findings if finding.needed)
+    assert all(finding.ok or finding.fix for finding in findings if finding.needed)
 
 
 @pytest.mark.parametrize(("ok", "needed", "code"), [(True, True, 0), (False, False, 0), (False, True, 1)])
 def test_only_what_is_needed_and_missing_fails(
     ok: bool, needed: bool, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    finding = Finding("thing", "somewhere", ok, needed, mend="fetch thing")
+    finding = Finding("thing", "somewhere", ok, needed, fix="fetch thing")
     monkeypatch.setattr(doctor, "examine", lambda: [finding])
     assert doctor.doctor() == code
     assert ("fetch thing" in capsys.readouterr().out) is not ok
@@ -26,12 +26,12 @@ def test_only_what_is_needed_and_missing_fails(
     assert [Finding(**found) for found in json.loads(capsys.readouterr().out)] == [finding]
 
 
-def test_packages_are_held_to_the_lock(tmp_path: Path) -> None:
+def test_packages_are_compared_with_the_lock(tmp_path: Path) -> None:
     lock, numpy = tmp_path / "requirements.lock", metadata.version("numpy")
     lock.write_text(
         f"numpy=={numpy} \\\n    --hash=sha256:0\nnosuch==1 ; sys_platform == 'never' \\\n    --hash=sha256:0\n"
     )
-    assert doctor._packages(lock).ok  # what is meant for another machine is not asked for here
+    assert doctor._packages(lock).ok  # lines for other machines are ignored
     lock.write_text(f"numpy=={numpy}\nnosuch==1\npyyaml==0.0.1\n")
     finding = doctor._packages(lock)
     assert not finding.ok
@@ -39,9 +39,9 @@ def test_packages_are_held_to_the_lock(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_back_end_that_cannot_draw_is_told_from_one_that_can(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_back_ends_that_cannot_render_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "disable")  # mujoco's own word for "no rendering at all"
     images, *backends = doctor.gl()
     assert not images.ok
     working = [found.name.removeprefix("GL by ") for found in backends if found.ok]
-    assert images.mend == (f"export MUJOCO_GL={working[0]}" if working else doctor.GL_COMMAND)
+    assert images.fix == (f"export MUJOCO_GL={working[0]}" if working else doctor.GL_COMMAND)

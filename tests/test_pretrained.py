@@ -1,4 +1,4 @@
-"""The shipped policies: small, whole, what their configs say, and able to do what is easiest."""
+"""The shipped policies: small, intact, as their configs say, and able to do an easy task."""
 
 from pathlib import Path
 
@@ -30,7 +30,7 @@ def test_a_shipped_policy_is_small_and_what_its_config_says(run: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("goal", ["state", "image"])
 def test_a_shipped_policy_opens_the_drawer(goal: str, tmp_path: Path) -> None:
-    """Measured on all tasks it reaches nine goals of ten, and the drawer's always: of four tries one has to."""
+    """On all tasks it reaches nine goals of ten, and always the drawer's: one success in four tries is required."""
     run = ROOT / "eval" / "pretrained" / goal
     TrainedRecipe(run, goal).check()
 

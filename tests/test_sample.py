@@ -1,4 +1,4 @@
-"""The play in datasets/sample: whole, small, of the present scene, and what its card says."""
+"""The play in datasets/sample: intact, small, of the present scene, with a matching card."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ def store() -> NativeStore:
     return NativeStore.open(SAMPLE)
 
 
-def test_it_is_whole_and_under_8_megabytes(store: NativeStore) -> None:
+def test_it_is_intact_and_under_8_megabytes(store: NativeStore) -> None:
     assert store.verify() == []
     assert sum(file.stat().st_size for file in SAMPLE.rglob("*") if file.is_file()) < 8e6
     assert store.cameras() == {"front": (48, 64), "wrist": (32, 32)}
@@ -45,7 +45,7 @@ def test_its_card_is_of_this_store(store: NativeStore, tmp_path: Path, monkeypat
 
 
 def test_it_is_of_the_present_scene(store: NativeStore) -> None:
-    """A recorded state, put back, is seen as it was recorded; the first actions lead where they led.
+    """A restored state gives the recorded observation; the first actions give the recorded states.
 
     After a change of the scene: `make sample`. 1e-5: observations are float32, and other processors round elsewhere.
     """
@@ -62,12 +62,12 @@ def test_it_is_of_the_present_scene(store: NativeStore) -> None:
         np.testing.assert_allclose(env.observe().state, played.state[10], atol=1e-5)
 
 
-def test_it_has_what_play_has(store: NativeStore) -> None:
-    """Changes that came to rest, of several things; plans, mistakes, slips and pauses."""
+def test_it_has_changes_and_mistakes(store: NativeStore) -> None:
+    """Settled changes of several objects; open-loop plans, mistakes, slips and pauses."""
     table = RelabelIndex.of_store(store, SettlingConfig())
     assert sum(count > 0 for count in table.change_counts().values()) >= 3
-    said = {mark for i in range(len(store)) for skill in store.meta(i).skills for mark in skill.split(":")[1:]}
-    assert {"open_loop", "mistake", "slip", "pause"} <= said
+    marks = {mark for i in range(len(store)) for skill in store.meta(i).skills for mark in skill.split(":")[1:]}
+    assert {"open_loop", "mistake", "slip", "pause"} <= marks
 
 
 def test_it_can_be_learned_from(store: NativeStore) -> None:

@@ -1,4 +1,4 @@
-"""How fast, beside whom, and how near to what is possible: every figure with its peer and its limit in one run."""
+"""Benchmarks: every figure beside a peer and a limit, measured in one run."""
 
 import playlearn.sim  # noqa: F401 - says how to draw, before a benchmark imports MuJoCo
 from playlearn.bench.base import BENCHMARKS, Figure, Size, run

@@ -1,4 +1,4 @@
-"""What a benchmark is: a generator of figures. Peer and limit are measured in the same run, turn by turn."""
+"""A benchmark is a generator of figures. Peer and limit are measured in the same run, in alternation."""
 
 import os
 import statistics
@@ -19,7 +19,15 @@ from playlearn.threads import environment, limit, with_environment
 
 @dataclass(frozen=True)
 class Figure:
-    """value, peer_value, limit_value in `unit`. ratio: value / peer_value. of_limit: value / limit_value."""
+    """One measured figure.
+
+    name: of the figure.
+    value, peer_value, limit_value: in `unit`.
+    unit: of the values.
+    peer, limit: what they are.
+    ratio: value / peer_value.
+    of_limit: value / limit_value.
+    """
 
     name: str
     value: float
@@ -35,7 +43,7 @@ class Figure:
     def beside(
         cls, name: str, unit: str, rates: Mapping[str, float], peer: str | None = None, limit: str | None = None
     ) -> "Figure":
-        """Of rates under the keys `ours`, `peer` and `limit`; the two names say what those are."""
+        """A figure from rates under the keys `ours`, `peer` and `limit`; peer, limit: what those two are."""
         ours, other, most = rates["ours"], rates.get("peer"), rates.get("limit")
         return cls(
             name,
@@ -50,20 +58,24 @@ class Figure:
         )
 
     def line(self) -> str:
-        """For people."""
-        words = f"{self.name:<38} {self.value:9.4g} {self.unit:<10}"
+        """One line of text."""
+        text = f"{self.name:<38} {self.value:9.4g} {self.unit:<10}"
         if self.peer_value:
-            words += f"  {self.ratio:5.2f} x {self.peer} ({self.peer_value:.4g})"
+            text += f"  {self.ratio:5.2f} x {self.peer} ({self.peer_value:.4g})"
         if self.limit_value:
-            words += f"  {self.of_limit:4.0%} of {self.limit} ({self.limit_value:.4g})"
-        return words
+            text += f"  {self.of_limit:4.0%} of {self.limit} ({self.limit_value:.4g})"
+        return text
 
 
 @dataclass(frozen=True)
 class Size:
-    """steps: of each turn. rounds: turns of each contender, of which the median counts. episodes: of the growing store.
+    """How much is measured.
 
-    worlds: what is stepped and drawn. out: where pictures are written, None for nowhere.
+    steps: of each turn.
+    rounds: turns of each workload; the median counts.
+    episodes: of the growing store.
+    envs: environments that are stepped and rendered.
+    out: folder for pictures (None: none are written).
     """
 
     steps: int = 200
@@ -78,14 +90,14 @@ Benchmark = Callable[[Size], Iterator[Figure]]
 
 @dataclass(frozen=True)
 class Deferred:
-    """A benchmark that is imported by the process that measures it, so that no other pays for what it needs."""
+    """A benchmark that is imported only by the process that measures it."""
 
     module: str
     function: str
 
     def __call__(self, size: Size) -> Iterator[Figure]:
         measure: Benchmark = getattr(import_module(self.module), self.function)
-        limit()  # of what that has imported
+        limit()  # threads of what was just imported
         return measure(size)
 
 
@@ -101,14 +113,14 @@ BENCHMARKS: dict[str, Benchmark] = {
         "train": "training",
     }.items()
 }
-_BY_WORLD = ("render", "sim")  # each of the worlds by itself
+_PER_ENV = ("render", "sim")  # a process for each environment
 
 
-def run(names: Sequence[str], size: Size, say: Callable[[Figure], None]) -> list[Figure]:
-    """The figures of the named benchmarks, or of all; `say` hears each as soon as it is measured.
+def run(names: Sequence[str], size: Size, report: Callable[[Figure], None]) -> list[Figure]:
+    """The figures of the named benchmarks, or of all; `report` gets each as soon as it is measured.
 
-    Each measurement has a process of its own, on one thread: what one leaves behind (memory, OpenGL contexts) is no
-    other's. What is being measured is said on stderr.
+    Each measurement has its own process, on one thread, so that none inherits memory or OpenGL contexts. What is being
+    measured is printed on stderr.
 
     Raises:
         UsageError: there is no benchmark of such a name.
@@ -119,26 +131,26 @@ def run(names: Sequence[str], size: Size, say: Callable[[Figure], None]) -> list
     limit()
     figures = []
     for name in names or tuple(BENCHMARKS):
-        alone = [replace(size, envs=(env,)) for env in size.envs] if name in _BY_WORLD else [size]
-        for one in alone:
-            measuring(f"{name}{f', {one.envs[0]}' if name in _BY_WORLD else ''}: starting")
-            with closing(_apart(BENCHMARKS[name], one)) as rows:
+        sizes = [replace(size, envs=(env,)) for env in size.envs] if name in _PER_ENV else [size]
+        for part in sizes:
+            measuring(f"{name}{f', {part.envs[0]}' if name in _PER_ENV else ''}: starting")
+            with closing(_in_process(BENCHMARKS[name], part)) as rows:
                 for figure in rows:
-                    say(figure)
+                    report(figure)
                     figures.append(figure)
     return figures
 
 
 def measuring(what: str) -> None:
-    """Say on stderr what is being measured now."""
+    """Print on stderr what is being measured."""
     print(f"bench: {what} ...", file=sys.stderr, flush=True)
 
 
-def _apart(measure: Benchmark, size: Size) -> Generator[Figure]:
-    """The figures of a benchmark in a process of its own, each as it comes."""
+def _in_process(measure: Benchmark, size: Size) -> Generator[Figure]:
+    """The figures of a benchmark in its own process, each as it comes."""
     context = get_context("spawn")
     here, there = context.Pipe(duplex=False)
-    process = context.Process(target=_hand_over, args=(measure, size, there))
+    process = context.Process(target=_send_figures, args=(measure, size, there))
     with with_environment(environment()):
         process.start()
     there.close()
@@ -148,14 +160,14 @@ def _apart(measure: Benchmark, size: Size) -> Generator[Figure]:
         process.join()
         if process.exitcode:
             raise PlaylearnError(f"the benchmark's process ended with exit code {process.exitcode}; see above")
-    finally:  # whoever stops listening stops it
+    finally:  # the caller may stop early
         process.terminate()
         process.join()
         here.close()
 
 
 def _next(pipe: Connection) -> Figure | None:
-    """None where the other side has ended."""
+    """The next figure; None if the process has ended."""
     try:
         figure: Figure = pipe.recv()
     except EOFError:
@@ -163,21 +175,21 @@ def _next(pipe: Connection) -> Figure | None:
     return figure
 
 
-def _hand_over(measure: Benchmark, size: Size, pipe: Connection) -> None:
-    os.dup2(2, 1)  # what MuJoCo and robosuite print is no part of the figures
-    limit()  # of what the benchmark has imported
+def _send_figures(measure: Benchmark, size: Size, pipe: Connection) -> None:
+    os.dup2(2, 1)  # keep prints of MuJoCo and robosuite off stdout
+    limit()  # threads of what the benchmark has imported
     for figure in measure(size):
         pipe.send(figure)
 
 
-def rates(contenders: Mapping[str, Callable[[], tuple[int, float]]], rounds: int) -> dict[str, float]:
-    """name -> how many a second, the median over rounds in which each has its turn.
+def rates(workloads: Mapping[str, Callable[[], tuple[int, float]]], rounds: int) -> dict[str, float]:
+    """Name -> rate a second, the median over rounds in which each workload has a turn.
 
-    A contender does its work and returns how much it did in how many seconds. One turn of each is for warming up.
+    A workload returns how much it did in how many seconds. The first turn of each is for warm-up.
     """
-    seen: dict[str, list[float]] = {name: [] for name in contenders}
+    seen: dict[str, list[float]] = {name: [] for name in workloads}
     for turn in range(rounds + 1):
-        for name, work in contenders.items():
+        for name, work in workloads.items():
             done, seconds = work()
             if turn:
                 seen[name].append(done / seconds)

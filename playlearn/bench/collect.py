@@ -1,4 +1,4 @@
-"""Play recorded into a store: steps a second of the whole command, beside robosuite's loop and its own parts."""
+"""Collect play into a store: steps a second, beside robosuite's loop and the parts of our own."""
 
 import tempfile
 import time
@@ -22,8 +22,8 @@ def collecting(size: Size) -> Iterator[Figure]:
     for cameras in (CAMERAS, ()):
         pair = next(pairs(("playtable",), images=bool(cameras)))
         config = _config(cameras, size)
-        seen = f"two cameras of {SIDE} px" if cameras else "no camera"
-        measuring(f"collect, {seen}")
+        cameras_text = f"two cameras of {SIDE} px" if cameras else "no camera"
+        measuring(f"collect, {cameras_text}")
         with tempfile.TemporaryDirectory() as folder:
             out = Path(folder) / "play"
             collect_store(_config(cameras, size, episodes=1), out, workers=0)
@@ -36,11 +36,11 @@ def collecting(size: Size) -> Iterator[Figure]:
                 size.rounds,
             )
         yield Figure.beside(
-            f"collect, {seen}",
+            f"collect, {cameras_text}",
             "steps/s",
             measured,
             "robosuite env.step, nothing stored",
-            "stepping and drawing alone",
+            "stepping and rendering alone",
         )
     measuring("collect, two workers")
     yield _two_workers(size)
@@ -77,7 +77,7 @@ def _parts(pair: Pair, cameras: Sequence[str], size: Size) -> tuple[int, float]:
 
 
 def _two_workers(size: Size) -> Figure:
-    """The whole command with images, starting included; the peer is the same with one worker."""
+    """The whole command with images, start-up included; the peer is the same with one worker."""
 
     def of(workers: int) -> tuple[int, float]:
         config = _config(CAMERAS, size, episodes=4 * size.rounds)

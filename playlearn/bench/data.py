@@ -1,10 +1,9 @@
 """Goal-conditioned batches a second of our dataset beside LeRobotDataset's, reading the same frames.
 
-A batch is 64 shuffled examples: the observation through two cameras and its state, the next 16 labels, and an image
-of a goal drawn evenly from the next five seconds. LeRobot knows no goals: as its users must, one more frame is
-fetched for each example, from a second dataset over the same files that brings no chunk along. Each reads what its
-own format holds (ours images as they are; LeRobot's PNG, or video decoded by PyAV) in the main process, and all of
-it comes from the page cache.
+A batch is 64 shuffled examples: the observation of two cameras and the state, the next 16 labels, and an image of a
+goal drawn uniformly from the next five seconds. LeRobot has no goals: as its users must do, one more frame is fetched
+for each example, from a second dataset over the same files without chunks. Each reads its own format (ours: raw
+images; LeRobot's: PNG, or video decoded by PyAV) in the main process, from the page cache.
 """
 
 import tempfile
@@ -58,8 +57,8 @@ def reading(size: Size) -> Iterator[Figure]:
             yield Figure.beside(named, "batches/s", measured, f"LeRobotDataset, {kind}")
             measuring(f"as a store, {kind}")
             for epoch, rate in _epochs(exported, config, Path(folder) / "frames" / kind).items():
-                told = {"ours": rate, "peer": measured["peer"]}
-                yield Figure.beside(f"as a store, {epoch}, {kind}", "batches/s", told, f"LeRobotDataset, {kind}")
+                figures = {"ours": rate, "peer": measured["peer"]}
+                yield Figure.beside(f"as a store, {epoch}, {kind}", "batches/s", figures, f"LeRobotDataset, {kind}")
 
 
 def _store(out: Path, size: Size) -> NativeStore:
@@ -69,12 +68,12 @@ def _store(out: Path, size: Size) -> NativeStore:
 
 
 def _epochs(exported: Path, config: DataConfig, cache: Path) -> dict[str, float]:
-    """Batches a second while each frame is decoded for the first time, and from then on."""
+    """Batches a second in the first epoch, with decoding, and in the second."""
     began = time.perf_counter()
     dataset = PlayDataset(LeRobotStoreConfig(root=exported, cache=cache).build(), config, seed=SEED)
     count, batches = max(1, len(dataset) // EXAMPLES), _our_batches(dataset)
     _turn(batches, count)
-    first = time.perf_counter() - began  # with the opening
+    first = time.perf_counter() - began  # including the opening
     return {"first epoch": count / first, "second epoch": count / _turn(batches, count)[1]}
 
 
@@ -86,7 +85,7 @@ def _turn(batches: Iterator[Any], count: int) -> tuple[int, float]:
 
 
 def _our_batches(dataset: PlayDataset) -> Iterator[Batch]:
-    """In the calling thread; training also prepares the next one in a thread beside."""
+    """In the calling thread; training also prepares the next batch in a background thread."""
     epoch = 0
     while True:
         order, examples = dataset.epoch_indices(epoch), min(EXAMPLES, len(dataset))
@@ -96,10 +95,10 @@ def _our_batches(dataset: PlayDataset) -> Iterator[Batch]:
 
 
 class _PeerGoals(torch.utils.data.Dataset[dict[str, Any]]):
-    """LeRobotDataset, each item with the image of a later frame of its episode."""
+    """LeRobotDataset whose items include the image of a later frame of the episode."""
 
     def __init__(self, root: Path, fps: float) -> None:
-        # Seconds to import: only who measures it pays.
+        # Slow to import.
         from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
         ahead = [step / fps for step in range(CHUNK)]
@@ -115,8 +114,8 @@ class _PeerGoals(torch.utils.data.Dataset[dict[str, Any]]):
 
     def __getitem__(self, index: int) -> dict[str, Any]:
         item: dict[str, Any] = self.frames[index]
-        furthest = min(index + self.horizon, self.ends[int(item["episode_index"])] - 1)
-        goal = int(torch.randint(index, furthest + 1, (), generator=self.draws))
+        last = min(index + self.horizon, self.ends[int(item["episode_index"])] - 1)
+        goal = int(torch.randint(index, last + 1, (), generator=self.draws))
         key = f"observation.images.{GOAL_CAMERA}"
         return item | {f"observation.images.goal_{GOAL_CAMERA}": self.goals[goal][key]}
 

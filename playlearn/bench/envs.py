@@ -1,4 +1,4 @@
-"""What is compared: worlds of ours beside the robosuite environment of the same scene."""
+"""What is compared: our environments beside the robosuite environment of the same scene."""
 
 import contextlib
 import warnings
@@ -19,7 +19,13 @@ SIDE = 84  # pixels, the size that robosuite's own benchmarks and robomimic use
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """ours and peer show the same scene; cameras are ours, peer_cameras robosuite's nearest to them."""
+    """Two environments of the same scene.
+
+    name: of the scene.
+    ours, peer: the environments.
+    cameras: ours.
+    peer_cameras: robosuite's most similar ones.
+    """
 
     name: str
     ours: RobosuiteEnv
@@ -29,7 +35,7 @@ class Pair:
 
 
 def pairs(envs: Sequence[str], *, images: bool) -> Iterator[Pair]:
-    """Of PlayTable and Lift those that are named; with `images` the peer draws both cameras at every step."""
+    """The named pairs of PlayTable and Lift; with `images` the peer renders both cameras at every step."""
     import robosuite
 
     from playlearn.envs.playtable.scene import PlayTable
@@ -41,7 +47,7 @@ def pairs(envs: Sequence[str], *, images: bool) -> Iterator[Pair]:
                 robots="Panda",
                 has_renderer=False,
                 has_offscreen_renderer=images,
-                hard_reset=False,  # a scene it forgets frees, some time later, what the next one is drawn with
+                hard_reset=False,  # a discarded scene would later free the GL resources of the next one
                 ignore_done=True,
                 **(seeing if images else {"use_camera_obs": False}),
             )
@@ -59,7 +65,7 @@ def pairs(envs: Sequence[str], *, images: bool) -> Iterator[Pair]:
 
 
 def actions(steps: int) -> Array:
-    """(steps, 7) smooth random actions of a hand that wanders, opens and closes."""
+    """(steps, 7) smooth random actions; the gripper opens and closes."""
     rng = np.random.default_rng(SEED)
     drift: Array = np.zeros(6)
     made = np.empty((steps, 7))

@@ -1,4 +1,4 @@
-"""Whether a store's thousandth episode costs what its first did, in time and in memory."""
+"""Whether a store's thousandth episode costs as much time and memory as its first."""
 
 import gc
 import tempfile
@@ -34,7 +34,7 @@ def growing(size: Size) -> Iterator[Figure]:
                 memory.append(_resident())
         gc.collect()
     part = min(PART, len(seconds) // 2)
-    # The median: one episode in ten draws its start state twice or more.
+    # The median, as one episode in ten draws its start state twice or more.
     first, last = (1 / float(np.median(own)) for own in (seconds[:part], seconds[-part:]))
     before, after = (float(np.median(own)) for own in (memory[part : 2 * part], memory[-part:]))
     yield Figure.beside(
@@ -47,6 +47,6 @@ def growing(size: Size) -> Iterator[Figure]:
 
 
 def _resident() -> float:
-    """MiB of memory that this process holds."""
+    """Resident memory of this process, MiB."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * 4096 / 2**20

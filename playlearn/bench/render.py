@@ -1,4 +1,4 @@
-"""Images a second on whatever draws here, beside robosuite's own, and how alike they look."""
+"""Images a second of our renderer, beside robosuite's, and the similarity of images."""
 
 import time
 from collections.abc import Iterator, Sequence
@@ -16,7 +16,7 @@ from playlearn.bench.envs import SEED, SIDE, Pair, actions, pairs
 from playlearn.episode import Array
 from playlearn.sim.rendering.simplify import VISUAL_GROUP
 
-FINE = 8  # the full-quality image is drawn so many times as large and averaged down
+FINE = 8  # the full-quality image is rendered at so many times the size and averaged down
 COLLISION_GROUP = 0
 COMPARED = 8  # states whose images are compared
 
@@ -24,8 +24,8 @@ COMPARED = 8  # states whose images are compared
 def rendering(size: Size) -> Iterator[Figure]:
     """PlayTable and Lift, two cameras of SIDE pixels, one process.
 
-    The limit draws collision geoms only, plainly. The last figures are SSIM (1: the same) between our image
-    and the full scene, drawn FINE times as large with every face, multisampling and shadows, averaged down.
+    The limit renders collision geoms only, without shadows. The last figures are SSIM (1: identical) between our image
+    and the full scene, rendered at FINE times the size with every face, multisampling and shadows, averaged down.
     """
     for pair in pairs(size.envs, images=True):
         measuring(f"{pair.name}: two {SIDE}x{SIDE} images")
@@ -35,7 +35,7 @@ def rendering(size: Size) -> Iterator[Figure]:
             {
                 "ours": partial(_ours, pair, states),
                 "peer": partial(_peer, pair, states[: max(4, len(states) // 10)]),
-                "limit": partial(bare.drawn, states),
+                "limit": partial(bare.measure, states),
             },
             size.rounds,
         )
@@ -46,8 +46,8 @@ def rendering(size: Size) -> Iterator[Figure]:
             "robosuite render",
             "collision geoms only",
         )
-        measuring(f"{pair.name}: likeness")
-        yield from _likeness(pair, states, size.out)
+        measuring(f"{pair.name}: similarity")
+        yield from _similarity(pair, states, size.out)
 
 
 def ssim(one: Array, other: Array) -> float:
@@ -62,12 +62,12 @@ def ssim(one: Array, other: Array) -> float:
     mean_a, mean_b = blurred(a), blurred(b)
     var_a, var_b = blurred(a * a) - mean_a**2, blurred(b * b) - mean_b**2
     both = blurred(a * b) - mean_a * mean_b
-    alike = (2 * mean_a * mean_b + c1) * (2 * both + c2) / ((mean_a**2 + mean_b**2 + c1) * (var_a + var_b + c2))
-    return float(alike.mean())
+    similarity = (2 * mean_a * mean_b + c1) * (2 * both + c2) / ((mean_a**2 + mean_b**2 + c1) * (var_a + var_b + c2))
+    return float(similarity.mean())
 
 
 def _walk(pair: Pair, steps: int) -> list[Array]:
-    """Simulator states of ours along a walk."""
+    """Simulator states of our environment along random actions."""
     pair.ours.reset(SEED)
     states = []
     for action in actions(steps):
@@ -93,7 +93,7 @@ def _peer(pair: Pair, states: Sequence[Array]) -> tuple[int, float]:
         pair.ours.set_state(state)
         sim.data.qpos[:] = pair.ours.data.qpos
         sim.forward()
-        sim._render_context_offscreen.gl_ctx.make_current()  # robosuite draws into whichever context is current
+        sim._render_context_offscreen.gl_ctx.make_current()  # robosuite renders into the current context
         began = time.perf_counter()
         for camera in pair.peer_cameras:
             sim.render(camera_name=camera, width=SIDE, height=SIDE)
@@ -102,7 +102,7 @@ def _peer(pair: Pair, states: Sequence[Array]) -> tuple[int, float]:
 
 
 class _Plain:
-    """`mujoco.Renderer` on the whole scene, showing one group of geoms; plain: no shadow, no smoothing."""
+    """`mujoco.Renderer` on the whole scene, with one group of geoms; plain: no shadows, no multisampling."""
 
     def __init__(self, pair: Pair, group: int, side: int, *, plain: bool = True) -> None:
         self._env, self._model = pair.ours, pair.ours.scene()
@@ -119,11 +119,11 @@ class _Plain:
             self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
 
     def image(self, camera: str) -> Array:
-        """Of the state that the world is in."""
+        """The image of the environment's present state."""
         self._place()
         return self._draw(camera)
 
-    def drawn(self, states: Sequence[Array]) -> tuple[int, float]:
+    def measure(self, states: Sequence[Array]) -> tuple[int, float]:
         seconds = 0.0
         for state in states:
             self._env.set_state(state)
@@ -145,7 +145,7 @@ class _Plain:
         return image
 
 
-def _likeness(pair: Pair, states: Sequence[Array], out: Path | None) -> Iterator[Figure]:
+def _similarity(pair: Pair, states: Sequence[Array], out: Path | None) -> Iterator[Figure]:
     fine = _Plain(pair, VISUAL_GROUP, FINE * SIDE, plain=False)
     chosen = [states[i] for i in np.unique(np.linspace(0, len(states) - 1, COMPARED).astype(int))]
     strips = []
@@ -155,8 +155,8 @@ def _likeness(pair: Pair, states: Sequence[Array], out: Path | None) -> Iterator
             pair.ours.set_state(state)
             ours.append(pair.ours.render(camera, SIDE, SIDE))
             full.append(_averaged(fine.image(camera)))
-        alike = float(np.mean([ssim(one, other) for one, other in zip(ours, full, strict=True)]))
-        yield Figure(f"{pair.name}: likeness, {camera}", alike, "SSIM")
+        mean = float(np.mean([ssim(one, other) for one, other in zip(ours, full, strict=True)]))
+        yield Figure(f"{pair.name}: similarity, {camera}", mean, "SSIM")
         strips += [np.concatenate(ours[:4], axis=1), np.concatenate(full[:4], axis=1)]
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
@@ -165,7 +165,7 @@ def _likeness(pair: Pair, states: Sequence[Array], out: Path | None) -> Iterator
 
 
 def _averaged(image: Array) -> Array:
-    """(FINE h, FINE w, 3) -> (h, w, 3), each pixel the mean of those it covers."""
+    """(FINE h, FINE w, 3) -> (h, w, 3), each pixel the mean of a block."""
     blocks = image.reshape(image.shape[0] // FINE, FINE, image.shape[1] // FINE, FINE, 3)
     mean: Array = blocks.mean(axis=(1, 3)).round().astype(np.uint8)
     return mean

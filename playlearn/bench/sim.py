@@ -1,4 +1,4 @@
-"""Control steps a second without images: ours, robosuite's `env.step`, and what physics alone would allow."""
+"""Control steps a second without images: ours, robosuite's `env.step`, and the limit of physics alone."""
 
 import time
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ from playlearn.bench.envs import SEED, Pair, actions, pairs
 
 
 def stepping(size: Size) -> Iterator[Figure]:
-    """PlayTable and Lift, one process; the limit is `mj_step` alone, from the very states that ours passes through."""
+    """PlayTable and Lift, one process; the limit is `mj_step` alone, from the same states."""
     for pair in pairs(size.envs, images=False):
         measuring(f"{pair.name}: control steps")
         measured = rates({"ours": partial(_ours, pair, size), "peer": partial(_peer, pair, size)}, size.rounds)
@@ -43,7 +43,7 @@ def _peer(pair: Pair, size: Size) -> tuple[int, float]:
 
 
 def _limit(pair: Pair, size: Size) -> float:
-    """Control steps a second of physics alone: each state of a walk of ours, one period on with the controls held."""
+    """Control steps a second of physics alone: one control period from each state, with constant controls."""
     env = pair.ours
     substeps = round(1 / env.spec.fps / env.model.opt.timestep)
     env.reset(SEED)

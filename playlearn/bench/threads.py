@@ -1,8 +1,8 @@
-"""Updates a second while something else runs on the machine: what `playlearn train` chooses, beside one thread.
+"""Updates a second beside another busy process: the threads that `playlearn train` chooses, beside one thread.
 
-Another program is one process that never waits. The policy is of states and small, as in
-configs/train/playtable_state_diffusion.yaml, and its batch is held in memory. A second of the wall's clock, not of the
-processor's: what is lost by waiting for a thread that is not being run is the matter.
+The other program is one process that never waits. The policy is a small state policy, as in
+configs/train/playtable_state_diffusion.yaml, and its batch is held in memory. Seconds are wall-clock time, to include
+the time lost by waiting for a thread that is not scheduled.
 """
 
 import subprocess
@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from functools import partial
 
 from playlearn.bench.base import Figure, Size, measuring, rates
-from playlearn.bench.train import an_update, built
+from playlearn.bench.train import an_update, build_policy
 from playlearn.executor import available_cores
 from playlearn.policies import PolicyConfig
 from playlearn.policies.encoders import StateConfig
@@ -29,7 +29,7 @@ POLICY = PolicyConfig(
     head=DiffusionConfig(width=256, blocks=2, sample_steps=8, noise_draws=4),
     chunk=8,
 )
-# Until it is killed, or left alone by a parent that was killed itself.
+# Runs until it is killed or its parent has ended.
 _BUSY = "import os; own = os.getppid(); print(flush=True)\nwhile os.getppid() == own: pass"
 
 
@@ -37,7 +37,7 @@ def loaded(size: Size) -> Iterator[Figure]:
     """Our default and torch's own (a thread a core), each beside one thread; the limit is one thread undisturbed."""
     ours, cores = TrainConfig().threads, available_cores()
     measuring("train beside a busy process")
-    update = an_update(built(POLICY), min(EXAMPLES, size.steps))
+    update = an_update(build_policy(POLICY), min(EXAMPLES, size.steps))
     updates = max(1, size.steps // 10)
     turns = {
         "ours": partial(_beside, update, updates, ours),
@@ -47,13 +47,15 @@ def loaded(size: Size) -> Iterator[Figure]:
     }
     measured = rates(turns, size.rounds)
     for name, own in ((f"our default, {ours} thread{'s' if ours > 1 else ''}", "ours"), (f"{cores} threads", "cores")):
-        told = {**measured, "ours": measured[own]}
-        yield Figure.beside(f"train beside a busy process, {name}", "updates/s", told, "one thread", "one undisturbed")
+        figures = {**measured, "ours": measured[own]}
+        yield Figure.beside(
+            f"train beside a busy process, {name}", "updates/s", figures, "one thread", "one undisturbed"
+        )
 
 
 def _turn(update: Callable[[], None], updates: int, threads: int) -> tuple[int, float]:
     limit(threads)
-    update()  # its threads are started, or sent to sleep
+    update()  # warm-up: starts the threads
     began = time.perf_counter()
     for _ in range(updates):
         update()
@@ -71,7 +73,7 @@ def _busy() -> Iterator[None]:
     with subprocess.Popen([sys.executable, "-c", _BUSY], stdout=subprocess.PIPE) as other:
         try:
             if other.stdout is not None:
-                other.stdout.readline()  # it is there
+                other.stdout.readline()  # it has started
             yield
         finally:
             other.kill()

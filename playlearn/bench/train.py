@@ -1,13 +1,13 @@
 """Updates a second of our diffusion policy beside LeRobot's DiffusionPolicy, on one batch held in memory.
 
 Held equal: the batch; three images an example (front and wrist now, front in the goal: to LeRobot, whose policies
-know no goals, a third camera), their size, state and action; one observation of history, the chunk, the length of
-the noise schedule; the number of parameters as nearly as each one's own sizes allow, which the figure's name tells;
+have no goals, a third camera), their size, state and action; one observation of history, the chunk, the length of
+the noise schedule; the number of parameters, as nearly as the sizes allow (see the figure's name);
 AdamW or Adam in float32; one thread. An update is forward, backward, clipping of the gradient and the optimizer's
-step; its seconds are those that the processor works on it, so that other work on the machine disturbs neither.
+step; its seconds are CPU time, so that other processes do not disturb either.
 
 In LeRobot's favor: its images come as normalized floats (its processor makes them so before every update), ours as
-they are stored; ours keeps an average of its weights besides.
+they are stored; ours also keeps an average of its weights.
 """
 
 import time
@@ -38,8 +38,8 @@ def training(size: Size) -> Iterator[Figure]:
     cnn = CNNConfig(cameras=CAMERAS, goal_camera=GOAL_CAMERA, fusion="late")
     resnets = PolicyConfig(encoder=resnet, head=DiffusionConfig(noise_draws=1), chunk=CHUNK)
     wide = PolicyConfig(encoder=cnn, head=DiffusionConfig(width=1280), chunk=CHUNK)
-    yield _figure("ResNet-18 in both", built(resnets), _peer((128, 256, 512), 128), size)
-    yield _figure("our CNN, ResNet-18", built(wide), _peer((64, 128, 256), 64), size)
+    yield _figure("ResNet-18 in both", build_policy(resnets), _peer((128, 256, 512), 128), size)
+    yield _figure("our CNN, ResNet-18", build_policy(wide), _peer((64, 128, 256), 64), size)
 
 
 def _figure(what: str, ours: Policy, peer: Any, size: Size) -> Figure:
@@ -68,8 +68,8 @@ def _turn(update: Callable[[], None], updates: int) -> tuple[int, float]:
     return updates, time.process_time() - began
 
 
-def built(config: PolicyConfig) -> Policy:
-    """A policy of PlayTable's numbers and two cameras."""
+def build_policy(config: PolicyConfig) -> Policy:
+    """A policy with PlayTable's dimensions and two cameras."""
 
     def names(kind: str, count: int) -> tuple[str, ...]:
         return tuple(f"{kind}.{i}" for i in range(count))
@@ -111,7 +111,7 @@ def an_update(policy: Policy, examples: int) -> Callable[[], None]:
 
 def _peer(down_dims: tuple[int, ...], embedding: int) -> Any:
     """LeRobot's policy at its defaults but for sizes: one ResNet-18 for all cameras, group norm, no download."""
-    # Seconds to import: only who measures it pays.
+    # Slow to import.
     from lerobot.configs.types import FeatureType, PolicyFeature
     from lerobot.policies.diffusion.configuration_diffusion import DiffusionConfig as PeerConfig
     from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy

@@ -239,16 +239,16 @@ def import_(arguments: argparse.Namespace) -> int:
 
 def _robomimic(source: Path, overrides: list[str]) -> Any:
     from playlearn.config import load_config
-    from playlearn.store.robomimic import RobomimicConfig, RobomimicFile
+    from playlearn.store.robomimic import RobomimicConfig
 
-    return RobomimicFile(source, load_config(RobomimicConfig, None, overrides))
+    return load_config(RobomimicConfig, None, overrides).build(source)
 
 
 def _robosuite(source: Path, overrides: list[str]) -> Any:
     from playlearn.config import load_config
-    from playlearn.store.robosuite_demos import RobosuiteConfig, RobosuiteFile
+    from playlearn.store.robosuite_demos import RobosuiteConfig
 
-    return RobosuiteFile(source, load_config(RobosuiteConfig, None, overrides))
+    return load_config(RobosuiteConfig, None, overrides).build(source)
 
 
 def _ogbench(source: Path, overrides: list[str]) -> Any:
@@ -260,11 +260,14 @@ def _ogbench(source: Path, overrides: list[str]) -> Any:
 
 
 def _lerobot(source: Path, overrides: list[str]) -> Any:
+    from dataclasses import replace
+
     from playlearn.config import load_config
     from playlearn.store.lerobot.config import LeRobotStoreConfig
     from playlearn.store.lerobot.recordings import LeRobotRecordings
 
-    return LeRobotRecordings(load_config(LeRobotStoreConfig, None, [f"--root={json.dumps(str(source))}", *overrides]))
+    config = load_config(LeRobotStoreConfig, None, [f"--root={json.dumps(str(source))}", *overrides])
+    return LeRobotRecordings(replace(config, skip_broken=True).build())
 
 
 IMPORTS = {"lerobot": _lerobot, "robomimic": _robomimic, "robosuite": _robosuite, "ogbench": _ogbench}

@@ -96,7 +96,7 @@ def attempt(spec: RolloutSpec, numbers: Sequence[int], store: Path, note: Path) 
     setups, records = _setups(spec, numbers, first, expert)
     envs = [first, *(first.clone() for _ in setups[1:])][: len(setups)]
     for one, setup in zip(envs, setups, strict=True):
-        one.set_state(setup.start)
+        one.set_state(setup.start_sim_state)
     there = [0] * len(setups)
 
     def settled(k: int, seen: Observation) -> bool:

@@ -1,6 +1,6 @@
-"""Judge a policy on a suite of start states and goals, beside the expert and chance."""
+"""Evaluate a policy on a suite of start states and goals, beside the expert and the random policy."""
 
-import playlearn.envs  # noqa: F401  so that a suite can name any world
+import playlearn.envs  # noqa: F401  so that a suite can name any environment
 from playlearn.evaluation.actor_recipes import (
     ActorRecipe,
     ExpertRecipe,

@@ -1,6 +1,6 @@
-"""Who is judged: a trained policy, the scripted expert (an upper bound) and chance (what luck gives).
+"""What is evaluated: a trained policy, the scripted expert (an upper bound) and the random policy (a lower bound).
 
-A contender is a recipe that travels to a worker process and builds its actor there.
+A recipe is sent to a worker process and builds its actor there.
 """
 
 import json
@@ -21,17 +21,20 @@ from playlearn.sim.environment import Environment
 
 
 class ActorRecipe(Protocol):
-    """name: its row in the report."""
+    """Builds an actor.
+
+    name: its row in the report.
+    """
 
     @property
     def name(self) -> str: ...
 
     def cameras(self) -> tuple[str, ...]:
-        """What the goal must be shown through."""
+        """The cameras that the goal must be shown through."""
         ...
 
     def build(self, environment: Environment) -> Actor:
-        """Raises PlaylearnError where it cannot act in this environment."""
+        """The actor; raises PlaylearnError if it cannot act in this environment."""
         ...
 
     def describe(self) -> dict[str, Any]:
@@ -40,8 +43,8 @@ class ActorRecipe(Protocol):
 
 
 def scripted(environment: Environment) -> Actor:
-    """The environment's own scripted expert; raises UsageError where it has none."""
-    # Seconds to import: only who asks it pays.
+    """The environment's scripted expert; raises UsageError if it has none."""
+    # Slow to import.
     from playlearn.oracles import expert_for
 
     return expert_for(environment)
@@ -82,12 +85,15 @@ class RandomRecipe:
 
 @dataclass(frozen=True)
 class TrainedRecipe:
-    """A policy that `playlearn train` left in `run`, shown its goal as `goal` ("image" or "state").
+    """A trained policy.
 
-    encoder: a run whose image encoder a state policy looks through.
-    n_action_steps: actions of a chunk carried out before it plans again (null: half of them).
-    guidance: weight of the goal.
-    predicts: what it must have learned to say.
+    run: output folder of `playlearn train`.
+    goal: how the goal is shown, "image" or "state".
+    n_action_steps: actions of a chunk that are executed before the next plan (None: half of the chunk).
+    guidance: weight of the goal (None: the policy's default).
+    name: its row in the report.
+    predicts: what the policy must predict.
+    encoder: run whose image encoder estimates the state for a state policy (None: its own encoder).
     """
 
     run: Path
@@ -99,15 +105,15 @@ class TrainedRecipe:
     encoder: Path | None = None
 
     def policy(self) -> Policy:
-        """The policy itself, read once a process."""
+        """The policy, loaded once in each process."""
         return load_policy(self.run / "policy", None if self.encoder is None else self.encoder / "policy")
 
     def check(self) -> None:
-        """What can be checked without a simulator.
+        """Check what can be checked without a simulator.
 
         Raises:
-            CheckpointError: no policy there, or not a whole one.
-            UsageError: it says something else, or does not read goals of this modality.
+            CheckpointError: there is no policy, or it is incomplete.
+            UsageError: it predicts something else, or does not read goals of this modality.
         """
         if not self.run.is_dir():
             raise CheckpointError(f"there is no run at {self.run}; make one with: playlearn train --out {self.run}")
@@ -115,10 +121,10 @@ class TrainedRecipe:
             raise CheckpointError(f"there is no run at {self.encoder} whose image encoder could be used")
         policy = self.policy()
         if policy.spec.predicts != self.predicts:
-            raise UsageError(f"{self.run} {_OTHERWISE[self.predicts]}")
-        reads = policy.config.encoder.goals
-        if self.goal not in reads:
-            raise UsageError(f"{self.run} reads its goal from {_ARTICLE[reads[0]]}: use --goal {reads[0]}")
+            raise UsageError(f"{self.run} {_WRONG_PREDICTION[self.predicts]}")
+        modalities = policy.config.encoder.goals
+        if self.goal not in modalities:
+            raise UsageError(f"{self.run} reads its goal from {_ARTICLE[modalities[0]]}: use --goal {modalities[0]}")
 
     def cameras(self) -> tuple[str, ...]:
         return self.policy().cameras
@@ -126,8 +132,8 @@ class TrainedRecipe:
     def build(self, environment: Environment) -> PolicyActor:
         policy = self.policy()
         missing = [camera for camera in policy.cameras if camera not in environment.spec.cameras]
-        seen = {} if missing else environment.observe(policy.cameras).images
-        policy.check(environment.spec, {camera: (image.shape[0], image.shape[1]) for camera, image in seen.items()})
+        images = {} if missing else environment.observe(policy.cameras).images
+        policy.check(environment.spec, {camera: (image.shape[0], image.shape[1]) for camera, image in images.items()})
         _check_controller(policy.spec.controller, environment.spec.controller)
         return PolicyActor(
             policy, n_action_steps=self._n_action_steps(policy), guidance=self.guidance, name=self.name, goal=self.goal
@@ -148,7 +154,7 @@ class TrainedRecipe:
         return max(1, policy.config.chunk // 2) if self.n_action_steps is None else self.n_action_steps
 
 
-_OTHERWISE = {
+_WRONG_PREDICTION = {
     "actions": "proposes subgoals and does not act: name it as --subgoals, beside a --run that acts",
     "next_settled_delta": "acts and proposes no subgoals: train one that does by "
     "configs/train/playtable_state_subgoals.yaml",
@@ -157,57 +163,60 @@ _OTHERWISE = {
 
 @dataclass(frozen=True)
 class HierarchicalRecipe:
-    """A trained policy that is led to its goal by subgoals, each for `seconds` at most (see `SubgoalActor`).
+    """A low-level policy that pursues the subgoals of a high-level policy (see `SubgoalActor`).
 
-    worker: reads states. proposer: is shown the goal.
+    low_level: acts; reads goal states.
+    high_level: is shown the goal and proposes subgoals.
+    seconds: at most so long is each subgoal pursued.
+    name: its row in the report.
     """
 
-    worker: TrainedRecipe
-    proposer: TrainedRecipe
+    low_level: TrainedRecipe
+    high_level: TrainedRecipe
     seconds: float
     name: str = "policy"
 
     def check(self) -> None:
-        """See `TrainedRecipe.check`; subgoals are states, so the worker must read those."""
-        if self.worker.run.is_dir() and "state" not in self.worker.policy().config.encoder.goals:
+        """See `TrainedRecipe.check`; subgoals are states, so the low-level policy must read those."""
+        if self.low_level.run.is_dir() and "state" not in self.low_level.policy().config.encoder.goals:
             raise UsageError(
-                f"{self.worker.run} reads its goal from an image, and subgoals are states: leave --subgoals out, "
+                f"{self.low_level.run} reads its goal from an image, and subgoals are states: leave --subgoals out, "
                 "or name a --run that reads states"
             )
-        self.worker.check()
-        self.proposer.check()
+        self.low_level.check()
+        self.high_level.check()
 
     def cameras(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys((*self.worker.cameras(), *self.proposer.cameras())))
+        return tuple(dict.fromkeys((*self.low_level.cameras(), *self.high_level.cameras())))
 
     def build(self, environment: Environment) -> SubgoalActor:
         steps = max(1, round(self.seconds * environment.spec.fps))
         return SubgoalActor(
-            self.worker.build(environment), self.proposer.build(environment), environment.reached, steps
+            self.low_level.build(environment), self.high_level.build(environment), environment.reached, steps
         )
 
     def describe(self) -> dict[str, Any]:
-        return {**self.worker.describe(), "subgoals": self.proposer.describe(), "subgoal_seconds": self.seconds}
+        return {**self.low_level.describe(), "subgoals": self.high_level.describe(), "subgoal_seconds": self.seconds}
 
 
 def trained(
     run: Path, goal: str, suite: SuiteConfig, encoder: Path | None = None
 ) -> TrainedRecipe | HierarchicalRecipe:
-    """A run's policy as a suite's settings let it act."""
+    """The recipe of a run's policy under a suite's settings."""
     if suite.subgoals is None:
         return TrainedRecipe(run, goal, suite.n_action_steps, suite.guidance, encoder=encoder)
-    proposer = TrainedRecipe(suite.subgoals, goal, guidance=suite.guidance, predicts="next_settled_delta")
-    return HierarchicalRecipe(TrainedRecipe(run, "state", suite.n_action_steps), proposer, suite.subgoal_seconds)
+    high_level = TrainedRecipe(suite.subgoals, goal, guidance=suite.guidance, predicts="next_settled_delta")
+    return HierarchicalRecipe(TrainedRecipe(run, "state", suite.n_action_steps), high_level, suite.subgoal_seconds)
 
 
 def _check_controller(trained: Mapping[str, Any], here: Mapping[str, Any]) -> None:
-    """Raises CheckpointError where the same action would move another robot, or move it otherwise."""
-    mine, its = (json.loads(json.dumps(facts, default=list)) for facts in (dict(trained), dict(here)))
-    for name in sorted(mine.keys() & its.keys()):
-        if mine[name] != its[name]:
+    """Raises CheckpointError if the same action would move another robot, or move it differently."""
+    own, other = (json.loads(json.dumps(facts, default=list)) for facts in (dict(trained), dict(here)))
+    for name in sorted(own.keys() & other.keys()):
+        if own[name] != other[name]:
             raise CheckpointError(
-                f"the policy learned with controller {name} {mine[name]}, this suite's environment has {its[name]}; "
-                "evaluate it on a suite of its own environment"
+                f"the policy was trained with controller {name} {own[name]}, this suite's environment has "
+                f"{other[name]}; evaluate it on a suite of its own environment"
             )
 
 
@@ -215,7 +224,7 @@ _ARTICLE = {"image": "an image", "state": "a state"}
 
 
 def join_runs(run: Path, encoder: Path, out: Path) -> None:
-    """Make one run of a state policy's and of the image encoder that it looks through."""
+    """Merge the run of a state policy and the run of its image encoder into one run."""
     load_policy(run / "policy", encoder / "policy").save(out / "policy")
     for name in ("config.yaml", "run.json"):
         if (encoder / name).is_file():
@@ -224,6 +233,6 @@ def join_runs(run: Path, encoder: Path, out: Path) -> None:
 
 @cache
 def load_policy(path: Path, encoder: Path | None = None) -> Policy:
-    """The policy at `path`, behind the image encoder of that at `encoder`, read once a process."""
+    """The policy at `path`, behind the image encoder of the policy at `encoder`; loaded once in each process."""
     policy = Policy.load(path)
     return policy if encoder is None else policy.behind(load_policy(encoder), encoder)

@@ -1,6 +1,6 @@
 """`playlearn diagnose`: what limits a trained policy on a suite, and what its failures look like.
 
-Causes and numbers are worked out where the attempts are made; the expert attempts the same episodes.
+Failure modes are classified in the workers that roll out the policy; the expert is evaluated on the same episodes.
 """
 
 import json
@@ -12,42 +12,43 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-import yaml
 
-from playlearn.config import atomic_write, from_dict, to_dict, versions
-from playlearn.data import DataConfig, PlayDataset
-from playlearn.episode import read_annotation
-from playlearn.errors import PlaylearnError, StoreError, UsageError
-from playlearn.evaluation import ActorRecipe, ExpertRecipe, SuiteConfig, load_suite, scripted, trained
+from playlearn.config import atomic_write, to_dict, versions
+from playlearn.errors import PlaylearnError, UsageError
+from playlearn.evaluation.action_error import action_errors
+from playlearn.evaluation.actor_recipes import ActorRecipe, ExpertRecipe, scripted, trained
 from playlearn.evaluation.failure_modes import (
     ENDED,
     FAILURE_MODES,
     FailureModesConfig,
     FailureReport,
-    by_grasp,
     classify_failure,
+    uses_grasp,
 )
-from playlearn.evaluation.results import ends, summary
+from playlearn.evaluation.results import last_goals, summary
+from playlearn.evaluation.suite import SuiteConfig, load_suite
 from playlearn.evaluation.worker import EpisodeResult, Trajectory, env_of, lost, run_batch
 from playlearn.executor import Executor, Job, LocalExecutorConfig, LostError
-from playlearn.policies import Policy
 from playlearn.report.diagnosis import diagnosis_page, strip
 from playlearn.report.intervals import wilson
 from playlearn.report.progress import Progress
 from playlearn.rollout import Actor
 from playlearn.sim.environment import Environment
-from playlearn.store import open_store, parse_store
 
-STRIPS = 2  # of each cause
-EXAMPLES = 2048  # of held-out play, on which actions are compared
+STRIPS = 2  # of each failure mode
 BINS = 4  # of the expert's time
 Row = dict[str, Any]
 
 
 @dataclass(frozen=True, eq=False)
-class Watched:
-    """One cohort. findings: episode -> why it failed, for those that did; tracks of the same."""
+class DiagnosedBatch:
+    """Results of a policy and the expert on some episodes.
+
+    episode_results: of both.
+    reports: episode -> why the policy failed, for its failures.
+    trajectories: episode -> the policy's trajectory, for its failures.
+    fps: control steps a second.
+    """
 
     episode_results: tuple[EpisodeResult, ...]
     reports: Mapping[int, FailureReport]
@@ -68,47 +69,49 @@ def diagnose(
     failure_modes: FailureModesConfig | None = None,
     expert: Callable[[Environment], Actor] | None = None,
 ) -> Row:
-    """Let a run's policy and the expert attempt a suite; write diagnosis.json and diagnosis.html into `out`.
+    """Evaluate a run's policy and the expert on a suite; write diagnosis.json and diagnosis.html into `out`.
 
-    Returns what diagnosis.json says.
+    Arguments are those of `evaluate`; failure_modes: thresholds.
+
+    Returns the content of diagnosis.json.
 
     Raises:
         UsageError: arguments, suite or goal modality are wrong.
         CheckpointError: there is no such run, or it was made for another environment.
         PlaylearnError: the suite cannot be set up.
     """
-    began = time.perf_counter()
+    started = time.perf_counter()
     given = {"episodes": episodes, "seed": seed}
     config = load_suite(suite, [*overrides, *(f"--{k}={v}" for k, v in given.items() if v is not None)])
     config = replace(config, kind=config.kind.prepare(run))
-    policy = trained(run, goal, config)
-    policy.check()
-    teacher = ExpertRecipe(expert or scripted)
+    policy_recipe = trained(run, goal, config)
+    policy_recipe.check()
+    expert_recipe = ExpertRecipe(expert or scripted)
     failure_modes = failure_modes or FailureModesConfig()
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"cannot write to --out {out}: {error.strerror}; name a folder") from error
     with LocalExecutorConfig(workers=workers).build() as executor:
-        watched = _watch(config, (policy, teacher), teacher, failure_modes, executor)
-        mine = [episode_result for episode_result in watched.episode_results if episode_result.policy == policy.name]
-        its = [episode_result for episode_result in watched.episode_results if episode_result.policy == teacher.name]
-        failed = [episode_result for episode_result in ends(mine) if not episode_result.success]
-        strips, note = _strips(config, failed, watched, executor)
+        diagnosed = _run_batches(config, (policy_recipe, expert_recipe), expert_recipe, failure_modes, executor)
+        policy_rows = [row for row in diagnosed.episode_results if row.policy == policy_recipe.name]
+        expert_rows = [row for row in diagnosed.episode_results if row.policy == expert_recipe.name]
+        failed = [row for row in last_goals(policy_rows) if not row.success]
+        strips, note = _strips(config, failed, diagnosed, executor)
     results = {
         "suite": config.name,
         "run": str(run),
         "goal_modality": goal,
-        **summary(mine),
-        "expert": summary(its),
-        "failure_modes": _failure_modes(failed, watched.reports, len(ends(mine))),
-        "by_expert_seconds": _by_time(mine, its, watched.fps),
+        **summary(policy_rows),
+        "expert": summary(expert_rows),
+        "failure_modes": _failure_modes(failed, diagnosed.reports, len(last_goals(policy_rows))),
+        "by_expert_seconds": _by_expert_seconds(policy_rows, expert_rows, diagnosed.fps),
         "action_error": action_errors(run),
-        "failures": [_failure(episode_result, watched.reports) for episode_result in failed],
+        "failures": [_failure(row, diagnosed.reports) for row in failed],
         "seed": config.seed,
         "versions": versions(),
         "config": {"suite": to_dict(config), "failure_modes": to_dict(failure_modes)},
-        "seconds": round(time.perf_counter() - began, 3),
+        "seconds": round(time.perf_counter() - started, 3),
     }
     atomic_write(out / "diagnosis.json", json.dumps(results, indent=1).encode())
     atomic_write(out / "diagnosis.html", diagnosis_page(results, FAILURE_MODES, strips, note).encode())
@@ -116,7 +119,7 @@ def diagnose(
 
 
 def format_summary(results: Row) -> str:
-    """The gist, for a terminal."""
+    """A short summary, for a terminal."""
     low, high = results["ci95"]
     expert = f"the expert {results['expert']['success_rate']:.1%}"
     lines = [
@@ -132,26 +135,26 @@ def format_summary(results: Row) -> str:
         for row in results["by_expert_seconds"]
     ]
     errors = results["action_error"]
-    worst = ", ".join(f"{skill or 'play'} {row['error']:.3f}" for skill, row in list(errors["skills"].items())[:6])
-    return "\n".join([*lines, f"held-out action error, the worst skills: {worst or errors['note']}"])
+    largest = ", ".join(f"{skill or 'play'} {row['error']:.3f}" for skill, row in list(errors["skills"].items())[:6])
+    return "\n".join([*lines, f"action error on held-out play, largest by skill: {largest or errors['note']}"])
 
 
-def _watch(
+def _run_batches(
     config: SuiteConfig,
-    contenders: Sequence[ActorRecipe],
+    recipes: Sequence[ActorRecipe],
     expert: ExpertRecipe,
     failure_modes: FailureModesConfig,
     executor: Executor,
-) -> Watched:
-    """All cohorts together."""
+) -> DiagnosedBatch:
+    """All batches together."""
     jobs = {
         batch[0]: Job(
             key=batch[0],
-            function=watch_batch,
+            function=diagnose_batch,
             kwargs={
                 "suite": config,
                 "episodes": batch,
-                "contenders": tuple(contenders),
+                "recipes": tuple(recipes),
                 "expert": expert,
                 "failure_modes": failure_modes,
             },
@@ -172,177 +175,133 @@ def _watch(
                 trajectories |= result.value.trajectories
                 fps = result.value.fps
             elif isinstance(result.error, LostError):
-                episode_results += [lost(e, c.name, f"crashed: {result.error}") for e in batch for c in contenders]
+                episode_results += [lost(e, r.name, f"crashed: {result.error}") for e in batch for r in recipes]
             else:
                 raise result.error
             done += len(batch)
             progress.to(done, seconds=result.seconds)
     if not fps:
         raise PlaylearnError(f"every worker was lost; the last: {episode_results[-1].reason}")
-    return Watched(tuple(episode_results), reports, trajectories, fps)
+    return DiagnosedBatch(tuple(episode_results), reports, trajectories, fps)
 
 
-def watch_batch(
+def diagnose_batch(
     suite: SuiteConfig,
     episodes: Sequence[int],
-    contenders: Sequence[ActorRecipe],
+    recipes: Sequence[ActorRecipe],
     expert: ExpertRecipe,
     failure_modes: FailureModesConfig,
-) -> Watched:
-    """What one worker does: the attempts of a contender and the expert, and why those of the former failed."""
-    result = run_batch(suite, episodes, contenders, expert, tracked=2)
+) -> DiagnosedBatch:
+    """What one worker does: roll out policy and expert, and classify the policy's failures."""
+    result = run_batch(suite, episodes, recipes, expert, num_tracked=2)
     env = env_of(suite)
-    mine = [episode_result for episode_result in result.episode_results if episode_result.policy == contenders[0].name]
-    failed = {episode_result.episode: episode_result for episode_result in ends(mine) if not episode_result.success}
-    own, shown = (result.trajectories[contender.name] for contender in contenders)
-    trajectories = {episode: trajectory for episode, trajectory in own.items() if episode in failed}
-    reached = {a.episode for a in ends([a for a in result.episode_results if a.policy == expert.name]) if a.success}
+    policy_rows = [row for row in result.episode_results if row.policy == recipes[0].name]
+    expert_rows = [row for row in result.episode_results if row.policy == expert.name]
+    failed = {row.episode: row for row in last_goals(policy_rows) if not row.success}
+    expert_succeeded = {row.episode for row in last_goals(expert_rows) if row.success}
+    of_policy, of_expert = (result.trajectories[recipe.name] for recipe in recipes)
+    trajectories = {episode: trajectory for episode, trajectory in of_policy.items() if episode in failed}
     reports = {}
     for episode, trajectory in trajectories.items():
-        episode_result = failed[episode]
-        if episode_result.reason.startswith("crashed"):
+        row = failed[episode]
+        if row.reason.startswith("crashed"):
             continue
-        goal = np.array(episode_result.goal_achieved, np.float32)
-        judge = suite.kind.judge(env, episode_result.task)
-        content = np.array([judge(trajectory.achieved[0], row, goal) for row in trajectory.achieved])
-        content[0] = False  # what is there before anything is done was not reached
-        early = not episode_result.reason.startswith("not reached")
-        # What the expert did without a grasp does not fail as one; of a chain its last goal alone is known.
-        model = shown.get(episode) if episode in reached else None
-        grasping = True
+        goal = np.array(row.goal_achieved, np.float32)
+        judge = suite.kind.judge(env, row.task)
+        success = np.array([judge(trajectory.achieved[0], achieved, goal) for achieved in trajectory.achieved])
+        success[0] = False  # the state before the first action does not count
+        ended_early = not row.reason.startswith("not reached")
+        # A goal that the expert reached without a grasp needs none; of a chain only the last goal is known.
+        model = of_expert.get(episode) if episode in expert_succeeded else None
+        needs_grasp = True
         if model is not None and np.array_equal(model.goal_sim_state, trajectory.goal_sim_state):
-            grasping = by_grasp(env, model.achieved, model.proprio, goal, failure_modes)
+            needs_grasp = uses_grasp(env, model.achieved, model.proprio, goal, failure_modes)
         reports[episode] = classify_failure(
-            env, trajectory.achieved, trajectory.proprio, goal, content, early, failure_modes, grasping
+            env, trajectory.achieved, trajectory.proprio, goal, success, ended_early, failure_modes, needs_grasp
         )
-    return Watched(result.episode_results, reports, trajectories, env.spec.fps)
+    return DiagnosedBatch(result.episode_results, reports, trajectories, env.spec.fps)
 
 
 def _failure_modes(
     failed: Sequence[EpisodeResult], reports: Mapping[int, FailureReport], episodes: int
 ) -> dict[str, Row]:
-    """Cause -> its count, its share of the failures and of all episodes, how many stalled or still held it, by task."""
-    named = {a.episode: reports[a.episode].failure_mode if a.episode in reports else ENDED for a in failed}
+    """Failure mode -> count, fractions of failures and of all episodes, how many stalled or held the object, tasks."""
+    named = {row.episode: reports[row.episode].failure_mode if row.episode in reports else ENDED for row in failed}
     rows: dict[str, Row] = {}
     for failure_mode in FAILURE_MODES:
-        own = [episode_result for episode_result in failed if named[episode_result.episode] == failure_mode]
-        stalled = [a for a in own if a.episode in reports and reports[a.episode].stalled_from is not None]
+        own = [row for row in failed if named[row.episode] == failure_mode]
+        known = [reports[row.episode] for row in own if row.episode in reports]
         rows[failure_mode] = {
             "count": len(own),
             "fraction": len(own) / max(1, len(failed)),
             "ci95": list(wilson(len(own), len(failed))),
-            "of_all": len(own) / episodes,
-            "stalled": len(stalled),
-            "holding": sum(a.episode in reports and reports[a.episode].holding for a in own),
-            "tasks": dict(Counter(episode_result.task for episode_result in own).most_common()),
+            "fraction_of_episodes": len(own) / episodes,
+            "stalled": sum(report.stalled_from is not None for report in known),
+            "holding": sum(report.holding for report in known),
+            "tasks": dict(Counter(row.task for row in own).most_common()),
         }
     return dict(sorted(rows.items(), key=lambda item: int(item[1]["count"]), reverse=True))
 
 
-def _failure(episode_result: EpisodeResult, reports: Mapping[int, FailureReport]) -> Row:
-    row = {
-        "episode": episode_result.episode,
-        "task": episode_result.task,
-        "made_by": episode_result.made_by,
-        "link": episode_result.link,
-    }
-    row |= {"steps": episode_result.steps, "reason": episode_result.reason}
-    found = reports.get(episode_result.episode)  # what crashed has none
-    return row | ({"failure_mode": ENDED} if found is None else asdict(found) | {"asked": list(found.asked)})
+def _failure(row: EpisodeResult, reports: Mapping[int, FailureReport]) -> Row:
+    columns = ("episode", "task", "expert_tasks", "goal_index", "steps", "reason")
+    report = reports.get(row.episode)  # a crashed rollout has none
+    found = {"failure_mode": ENDED} if report is None else asdict(report) | {"targets": list(report.targets)}
+    return {name: getattr(row, name) for name in columns} | found
 
 
-def _by_time(mine: Sequence[EpisodeResult], its: Sequence[EpisodeResult], fps: float) -> list[Row]:
-    """Success of the goals that the expert reached, by how long it took: as many goals in each of a few bins."""
-    took = {(a.episode, a.link): a.steps / fps for a in its if a.success}
-    known = sorted((took[key], a.success) for a in mine if (key := (a.episode, a.link)) in took)
+def _by_expert_seconds(
+    policy_rows: Sequence[EpisodeResult], expert_rows: Sequence[EpisodeResult], fps: float
+) -> list[Row]:
+    """Success on the goals that the expert reached, by its time, in a few bins with the same number of goals."""
+    took = {(row.episode, row.goal_index): row.steps / fps for row in expert_rows if row.success}
+    known = sorted((took[key], row.success) for row in policy_rows if (key := (row.episode, row.goal_index)) in took)
     rows = []
     for part in np.array_split(np.arange(len(known)), min(BINS, max(1, len(known)))):
         if len(part):
             own = [known[k] for k in part]
-            won = sum(success for _, success in own)
+            successes = sum(success for _, success in own)
             rows.append(
                 {
                     "from": own[0][0],
                     "to": own[-1][0],
                     "episodes": len(own),
-                    "success_rate": won / len(own),
-                    "ci95": list(wilson(won, len(own))),
+                    "success_rate": successes / len(own),
+                    "ci95": list(wilson(successes, len(own))),
                 }
             )
     return rows
 
 
-@torch.no_grad()
-def action_errors(run: Path) -> Row:
-    """Mean error of the first action of a chunk, in units of the action, by the skill of that step of held-out play.
-
-    The play is what the run was trained on, the share of it that was held out; the worst skill comes first.
-    """
-    none: Row = {"skills": {}, "examples": 0, "note": ""}
-    path = run / "config.yaml"
-    raw = yaml.safe_load(path.read_text()) if path.is_file() else None
-    gone = none | {"note": "not measured: the run's play is not there"}
-    if not raw:
-        return gone
-    try:
-        store = open_store(parse_store(raw["store"]))
-    except StoreError:
-        return gone
-    data = from_dict(DataConfig, raw["data"])
-    if data.val_fraction <= 0:
-        return none | {"note": "not measured: the run held no play out"}
-    dataset: PlayDataset = data.build(store, "val", int(raw.get("seed", 0)))
-    policy = Policy.load(run / "policy").eval()
-    names = [store.meta(int(i)).skills for i in range(len(store))]
-    errors: dict[str, list[float]] = {}
-    drawn = np.random.default_rng(0).permutation(len(dataset))[:EXAMPLES]
-    for part in np.array_split(drawn, max(1, len(drawn) // 256)):
-        batch = dataset.batch(0, part)
-        off = (policy.act(batch, torch.Generator().manual_seed(0)) - batch.action)[:, 0].abs().mean(dim=1)
-        for error, i, t in zip(off.tolist(), *dataset.where(part), strict=True):
-            skill = store.array(int(i), "skill")[t]
-            name = read_annotation(names[i][skill])[0] if names[i] else ""
-            errors.setdefault(name, []).append(error)
-    worst = sorted(errors, key=lambda name: float(np.mean(errors[name])), reverse=True)
-    rows = {name: {"examples": len(errors[name]), "error": float(np.mean(errors[name]))} for name in worst}
-    return none | {"skills": rows, "examples": len(drawn)}
-
-
 def _strips(
-    config: SuiteConfig, failed: Sequence[EpisodeResult], watched: Watched, executor: Executor
+    config: SuiteConfig, failed: Sequence[EpisodeResult], diagnosed: DiagnosedBatch, executor: Executor
 ) -> tuple[dict[str, list[tuple[str, bytes]]], str]:
-    """Cause -> captions and film strips of its first failures; and why there are none, if there are none."""
+    """Failure mode -> captions and film strips of its first failures; and the reason if there are none."""
+    known = [row for row in failed if row.episode in diagnosed.reports]
     chosen: dict[int, EpisodeResult] = {}
     for failure_mode in FAILURE_MODES:
-        own = [
-            a
-            for a in failed
-            if a.episode in watched.reports and watched.reports[a.episode].failure_mode == failure_mode
-        ]
-        firsts = list({episode_result.task: episode_result for episode_result in reversed(own)}.values())[
-            ::-1
-        ]  # of as many tasks
-        chosen |= {episode_result.episode: episode_result for episode_result in firsts[:STRIPS]}
-    jobs = [Job(e, draw_strip, {"suite": config, "trajectory": watched.trajectories[e]}) for e in chosen]
+        own = [row for row in known if diagnosed.reports[row.episode].failure_mode == failure_mode]
+        firsts = list({row.task: row for row in reversed(own)}.values())[::-1]  # of different tasks
+        chosen |= {row.episode: row for row in firsts[:STRIPS]}
+    jobs = [Job(e, draw_strip, {"suite": config, "trajectory": diagnosed.trajectories[e]}) for e in chosen]
     shown: dict[str, list[tuple[str, bytes]]] = {}
     for result in executor.run(jobs, keep_going=True):
         if result.error is not None:
-            return {}, f"No pictures: {result.error}"  # the numbers are worth having without
-        episode_result, report = chosen[result.key], watched.reports[result.key]
-        words = [
-            f"episode {episode_result.episode}",
-            episode_result.task,
-            episode_result.made_by,
-            f"to move: {', '.join(report.asked)}",
-        ]
-        words += [] if report.closest is None else [f"hand at best {100 * report.closest:.0f} cm away"]
-        words += [] if report.off is None else [f"closed {100 * report.off:.0f} cm off"]
-        words += ["holds it"] if report.holding else []
-        words += [] if report.stalled_from is None else [f"still from {report.stalled_from:.1f} s on"]
-        shown.setdefault(report.failure_mode, []).append((" · ".join(word for word in words if word), result.value))
+            return {}, f"No pictures: {result.error}"  # the numbers are useful without them
+        row, report = chosen[result.key], diagnosed.reports[result.key]
+        shown.setdefault(report.failure_mode, []).append((_caption(row, report), result.value))
     return {failure_mode: sorted(shown[failure_mode]) for failure_mode in FAILURE_MODES if failure_mode in shown}, ""
 
 
+def _caption(row: EpisodeResult, report: FailureReport) -> str:
+    facts = [f"episode {row.episode}", row.task, row.expert_tasks, f"targets: {', '.join(report.targets)}"]
+    facts += [] if report.min_distance is None else [f"nearest {100 * report.min_distance:.0f} cm"]
+    facts += [] if report.grasp_distance is None else [f"gripper closed {100 * report.grasp_distance:.0f} cm off"]
+    facts += ["holds it"] if report.holding else []
+    facts += [] if report.stalled_from is None else [f"stalled from {report.stalled_from:.1f} s on"]
+    return " · ".join(fact for fact in facts if fact)
+
+
 def draw_strip(suite: SuiteConfig, trajectory: Trajectory) -> bytes:
-    """The film strip of an attempt, drawn by the worker that this runs in."""
-    return strip(env_of(suite), trajectory.states, trajectory.goal_sim_state, suite.camera)
+    """The film strip of an episode, rendered by the worker process."""
+    return strip(env_of(suite), trajectory.sim_states, trajectory.goal_sim_state, suite.camera)

@@ -1,4 +1,4 @@
-"""What goals are made from: the expert does named tasks, one or several in a row, and is seen to have done them."""
+"""Make goals: the expert does named tasks, one or several in a row, and the goal is the state that it reached."""
 
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
@@ -14,40 +14,40 @@ from playlearn.rollout import Actor, rollout
 from playlearn.sim.environment import Environment, Task
 
 DRAWS = 20  # of an episode's start state before it is given up
-TRIES = 5  # of another task, where the expert did not do one that would have come next
+TRIES = 5  # tasks to try as the next one of a sequence
 
 
 @dataclass(frozen=True)
 class GoalGeneration:
-    """rest, seconds: a goal counts as reached by the expert once nothing of `achieved` moved more for so long."""
+    """Criterion for a settled goal: no dimension of `achieved` moves more than `rest` for `seconds`."""
 
     rest: float
     seconds: float
 
     def drive(
-        self, twin: Environment, expert: Actor, task: Task, rng: np.random.Generator, max_steps: int
+        self, copy: Environment, expert: Actor, task: Task, rng: np.random.Generator, max_steps: int
     ) -> str | None:
-        """Let the expert do the task in a copy of the world; why it does not count, or None."""
-        start = achieved_now(twin)
+        """Let the expert do the task in a copy of the environment; the reason if it fails, else None."""
+        start = achieved_now(copy)
         command = task.command(start, rng)
-        done = _DoneAndAtRest(task.judge, start, command, self.rest, round(self.seconds * twin.spec.fps))
+        settled = _SettledSuccess(task.judge, start, command, self.rest, round(self.seconds * copy.spec.fps))
         goal = Goal(achieved=np.asarray(command, dtype=np.float32))
         outcome = rollout(
-            [twin], expert, [goal], seeds=[int(rng.integers(2**31))], max_steps=max_steps, stop=done.stop
+            [copy], expert, [goal], seeds=[int(rng.integers(2**31))], max_steps=max_steps, stop=settled.stop
         )[0]
         final = outcome.final.achieved
-        if not done.content:
+        if not settled.success:
             return f"it did not come to rest in {outcome.steps} steps ({outcome.ended})"
-        # The policy is judged against what was reached, not against what was commanded.
+        # The policy is evaluated on the state that the expert reached, not on the command.
         if not task.judge(start, final, final):
-            return "what it reached would not be judged a success"
+            return "the state that it reached is no success"
         if task.judge(start, start, final):
             return "nothing had to be done"
         return None
 
     def sequence(
         self,
-        twin: Environment,
+        copy: Environment,
         expert: Actor,
         names: Sequence[str],
         length: int,
@@ -55,38 +55,38 @@ class GoalGeneration:
         max_steps: int,
         cameras: Sequence[str],
     ) -> list[ChainGoal]:
-        """Up to `length` tasks that the expert did in a copy of the world, each from where the one before had ended.
+        """Up to `length` tasks that the expert did in a copy of the environment, each from the end of the previous one.
 
-        Each is drawn from those that are possible then, of the kinds used least so far, as CALVIN draws its
-        sequences. None leads back to where the world had been. Fewer come where the expert finds no way on.
+        Each is drawn from the possible tasks of the kinds used least so far, as CALVIN draws its sequences. None
+        leads back to an earlier state. There are fewer if the expert cannot go on.
         """
-        links: list[ChainGoal] = []
+        goals: list[ChainGoal] = []
         used: Counter[str] = Counter()
-        been = [achieved_now(twin)]
-        while len(links) < length:
-            possible = [name for name in names if twin.tasks[name].precondition(been[-1])]
+        visited = [achieved_now(copy)]
+        while len(goals) < length:
+            possible = [name for name in names if copy.tasks[name].precondition(visited[-1])]
             drawn = [possible[i] for i in rng.permutation(len(possible))]
-            drawn.sort(key=lambda name: used[twin.tasks[name].kind])
-            here = np.array(twin.sim_state())
+            drawn.sort(key=lambda name: used[copy.tasks[name].kind])
+            saved = np.array(copy.sim_state())
             for name in drawn[:TRIES]:
-                task = twin.tasks[name]
-                undone = self.drive(twin, expert, task, rng, max_steps)
-                now = achieved_now(twin)
-                if undone is None and not any(twin.reached(now, before) for before in been):
-                    links.append(ChainGoal(name, goal_from(twin, cameras), np.array(twin.sim_state())))
+                task = copy.tasks[name]
+                failure = self.drive(copy, expert, task, rng, max_steps)
+                now = achieved_now(copy)
+                if failure is None and not any(copy.reached(now, earlier) for earlier in visited):
+                    goals.append(ChainGoal(name, goal_from(copy, cameras), np.array(copy.sim_state())))
                     used[task.kind] += 1
-                    been.append(now)
+                    visited.append(now)
                     break
-                twin.set_state(here)
+                copy.set_state(saved)
             else:
                 break
-        return links
+        return goals
 
 
-def beginnings(
+def start_states(
     environment: Environment, seed: int, episode: int
 ) -> Iterator[tuple[int, np.random.Generator, Array, Array]]:
-    """Sound start states of an episode, to be tried in turn: which draw, its generator, sim state, achieved (G,)."""
+    """Valid start states of an episode, in turn: number of the draw, its generator, sim state, achieved (G,)."""
     for draw in range(DRAWS):
         rng = np.random.default_rng((seed, episode, draw))
         environment.reset(int(rng.integers(2**31)))
@@ -95,7 +95,7 @@ def beginnings(
 
 
 def names_of(environment: Environment, wanted: Sequence[str] | None) -> tuple[str, ...]:
-    """The tasks of a suite: those wanted, or all; raises UsageError where the environment lacks one."""
+    """The tasks of a suite: those wanted, or all; raises UsageError if the environment lacks one."""
     known = tuple(environment.tasks)
     for name in wanted or ():
         if name not in known:
@@ -111,18 +111,18 @@ def achieved_now(environment: Environment) -> Array:
     return np.array(environment.observe().achieved, dtype=np.float32)
 
 
-class _DoneAndAtRest:
-    """Ends the expert's demonstration once the judge is content and nothing moves any more."""
+class _SettledSuccess:
+    """Ends the expert's demonstration once the judge is satisfied and nothing moves any more."""
 
     def __init__(self, judge: Judge, start: Array, command: Array, rest: float, steps: int) -> None:
         self._judge, self._start, self._command, self._rest = judge, start, command, rest
         self._recent: deque[Array] = deque(maxlen=max(1, steps) + 1)
-        self.content = False
+        self.success = False
 
     def stop(self, _: int, observation: Observation) -> bool:
         self._recent.append(np.array(observation.achieved))
         if len(self._recent) < (self._recent.maxlen or 0):
             return False
         moved = np.ptp(np.stack(self._recent), axis=0).max()
-        self.content = bool(moved <= self._rest) and self._judge(self._start, observation.achieved, self._command)
-        return self.content
+        self.success = bool(moved <= self._rest) and self._judge(self._start, observation.achieved, self._command)
+        return self.success

@@ -1,4 +1,4 @@
-"""`playlearn eval`: assembles a suite, contenders and an executor, and writes what came out."""
+"""`playlearn eval`: assembles a suite, actor recipes and an executor, and writes the results."""
 
 import json
 import time
@@ -11,7 +11,7 @@ from playlearn.config import atomic_write, git_revision, to_dict, versions
 from playlearn.config.schema import nearest
 from playlearn.errors import PlaylearnError, UsageError
 from playlearn.evaluation.actor_recipes import ActorRecipe, ExpertRecipe, RandomRecipe, scripted, trained
-from playlearn.evaluation.results import by_policy, curve, ends, parquet, summary, to_film, to_show
+from playlearn.evaluation.results import by_policy, curve, last_goals, parquet, summary, to_film, to_show
 from playlearn.evaluation.suite import SuiteConfig, load_suite
 from playlearn.evaluation.worker import EpisodeResult, Trajectory, draw_trajectory, lost, run_batch
 from playlearn.executor import Executor, Job, LocalExecutorConfig, LostError
@@ -42,13 +42,24 @@ def evaluate(
     overrides: Sequence[str] = (),
     expert: Callable[[Environment], Actor] | None = None,
 ) -> dict[str, Any]:
-    """Judge a run's policy, the expert or chance on a suite; write results.json, episodes.parquet and report.html.
+    """Evaluate a run's policy, the expert or the random policy on a suite.
 
-    encoder: a run whose image encoder a state policy looks through.
-    With `references` the expert and chance attempt the same episodes. `expert` builds the
-    environment's expert; by default it is that of `playlearn.teleop`.
+    Writes results.json, episodes.parquet and report.html into `out`.
 
-    Returns what results.json says.
+    suite: file of the suite.
+    out: output folder.
+    run: output folder of `playlearn train`.
+    encoder: run whose image encoder estimates the state for a state policy.
+    policy: "expert" or "random", instead of a run.
+    goal: how goals are shown, "image" or "state".
+    episodes: instead of the suite's.
+    workers: processes; None: one a core, 0: this process.
+    seed: instead of the suite's.
+    references: also evaluate the expert and the random policy, on the same episodes.
+    overrides: of the suite's fields, as on the command line.
+    expert: builds the environment's expert; by default that of `playlearn.oracles`.
+
+    Returns the content of results.json.
 
     Raises:
         UsageError: arguments, suite or goal modality are wrong.
@@ -59,46 +70,50 @@ def evaluate(
     given = {"episodes": episodes, "seed": seed}
     config = load_suite(suite, [*overrides, *(f"--{k}={v}" for k, v in given.items() if v is not None)])
     config = replace(config, kind=config.kind.prepare(run))
-    teacher = ExpertRecipe(expert or scripted)
-    contenders = _contenders(config, run, encoder, policy, goal, teacher, references=references)
+    expert_recipe = ExpertRecipe(expert or scripted)
+    recipes = _recipes(config, run, encoder, policy, goal, expert_recipe, references=references)
     executor = LocalExecutorConfig(workers=workers).build()
-    _make(out)
+    _make_folder(out)
 
-    main = contenders[0].name
+    main = recipes[0].name
     with executor:
-        gathered = _evaluate(config, contenders, teacher, executor)
+        gathered = _evaluate(config, recipes, expert_recipe, executor)
         if gathered.spec is None:
             raise PlaylearnError(f"every worker was lost; the last: {gathered.episode_results[-1].reason}")
         grouped = by_policy(gathered.episode_results)
-        shown, note = _pictures(config, ends(grouped[main]), gathered.trajectories, executor)
+        shown, note = _pictures(config, last_goals(grouped[main]), gathered.trajectories, executor)
     results = {
         "suite": config.name,
         "goal_modality": goal,
         **summary(grouped[main]),
         "references": {name: summary(grouped[name]) for name in POLICIES if name in grouped},
-        "redraws": sum(episode_result.redraws for episode_result in grouped[main]),
+        "redraws": sum(row.redraws for row in grouped[main]),
         "seed": config.seed,
         "achieved_names": list(gathered.spec.achieved_names),
         "renderer": gathered.renderer,
         "versions": versions(),
         "revision": git_revision(),
-        "policy": {"name": main, **contenders[0].describe()},
+        "policy": {"name": main, **recipes[0].describe()},
         "config": to_dict(config),
         "seconds": round(time.perf_counter() - started, 3),
     }
-    longest = max(config.max_steps, *(episode_result.steps for episode_result in gathered.episode_results))
+    longest = max(config.max_steps, *(row.steps for row in gathered.episode_results))
     curves = {name: curve(grouped[name], longest) for name in grouped}
-    atomic_write(
-        out / "episodes.parquet", parquet([episode_result for rows in grouped.values() for episode_result in rows])
-    )
+    atomic_write(out / "episodes.parquet", parquet([row for rows in grouped.values() for row in rows]))
     atomic_write(out / "report.html", page(results, curves, gathered.spec.fps, shown, note).encode())
     atomic_write(out / "results.json", json.dumps(results, indent=2).encode())
     return results
 
 
 @dataclass(eq=False)
-class _Gathered:
-    """What the workers gave. tracks: of the first contender, and only those that may be shown."""
+class _Results:
+    """What the workers returned.
+
+    episode_results: of all policies.
+    trajectories: of the first policy, only those that may be shown.
+    renderer: what renders in the workers.
+    spec: of the environment.
+    """
 
     episode_results: list[EpisodeResult] = field(default_factory=list)
     trajectories: dict[int, Trajectory] = field(default_factory=dict)
@@ -107,40 +122,34 @@ class _Gathered:
 
 
 def _evaluate(
-    config: SuiteConfig, contenders: Sequence[ActorRecipe], expert: ExpertRecipe, executor: Executor
-) -> _Gathered:
-    """Every contender's attempt at every episode."""
+    config: SuiteConfig, recipes: Sequence[ActorRecipe], expert: ExpertRecipe, executor: Executor
+) -> _Results:
+    """Evaluate all actors on all episodes."""
     jobs = {
         batch[0]: Job(
             key=batch[0],
             function=run_batch,
-            kwargs={"suite": config, "episodes": batch, "contenders": tuple(contenders), "expert": expert},
+            kwargs={"suite": config, "episodes": batch, "recipes": tuple(recipes), "expert": expert},
             seed=config.seed,
         )
         for batch in config.batches()
     }
-    gathered = _Gathered()
+    gathered = _Results()
     with Progress(config.name, config.episodes, "episode", workers=executor.workers) as progress:
         for result in executor.run(jobs.values(), keep_going=True):
             if result.error is None:
                 gathered.episode_results += result.value.episode_results
-                gathered.trajectories |= result.value.trajectories[contenders[0].name]
+                gathered.trajectories |= result.value.trajectories[recipes[0].name]
                 gathered.renderer, gathered.spec = result.value.renderer, result.value.spec
             elif isinstance(result.error, LostError):
                 batch = jobs[result.key].kwargs["episodes"]
                 gathered.episode_results += [
-                    lost(e, c.name, f"crashed: {result.error}") for e in batch for c in contenders
+                    lost(e, c.name, f"crashed: {result.error}") for e in batch for c in recipes
                 ]
             else:
-                raise result.error  # it could not even be set up: there is nothing to judge
-            main = ends(
-                [
-                    episode_result
-                    for episode_result in gathered.episode_results
-                    if episode_result.policy == contenders[0].name
-                ]
-            )
-            keep = {episode_result.episode for episode_result in to_show(main, SHOWN_SUCCESSES, SHOWN_FAILURES)}
+                raise result.error  # the episode could not be set up
+            main = last_goals([row for row in gathered.episode_results if row.policy == recipes[0].name])
+            keep = {row.episode for row in to_show(main, SHOWN_SUCCESSES, SHOWN_FAILURES)}
             gathered.trajectories = {
                 episode: trajectory for episode, trajectory in gathered.trajectories.items() if episode in keep
             }
@@ -154,32 +163,35 @@ def _pictures(
     trajectories: dict[int, Trajectory],
     executor: Executor,
 ) -> tuple[list[Shown], str]:
-    """Start, goal and final of a few attempts, films of fewer; and why there are none, if there are none."""
-    chosen = [a for a in to_show(episode_results, SHOWN_SUCCESSES, SHOWN_FAILURES) if a.episode in trajectories]
+    """Pictures of a few episodes and films of fewer; and the reason if there are none."""
+    chosen = [row for row in to_show(episode_results, SHOWN_SUCCESSES, SHOWN_FAILURES) if row.episode in trajectories]
     filmed = to_film(chosen, FILMED_SUCCESSES, FILMED_FAILURES)
     jobs = [
         Job(
-            key=episode_result.episode,
+            key=row.episode,
             function=draw_trajectory,
             kwargs={
                 "suite": config,
-                "trajectory": trajectories[episode_result.episode],
-                "film": episode_result.episode in filmed,
+                "trajectory": trajectories[row.episode],
+                "film": row.episode in filmed,
             },
         )
-        for episode_result in chosen
+        for row in chosen
     ]
     drawn: dict[int, Pictures] = {}
     for result in executor.run(jobs, keep_going=True):
         if result.error is not None:
-            # A report without pictures is worth more than none: the attempts are done.
+            # The episodes are done, so the report is written without pictures.
             return [], f"No pictures: {result.error}"
         drawn[result.key] = result.value
-    shown = [Shown(a.episode, a.task, a.success, a.reason, steps=a.steps, pictures=drawn[a.episode]) for a in chosen]
+    shown = [
+        Shown(row.episode, row.task, row.success, row.reason, steps=row.steps, pictures=drawn[row.episode])
+        for row in chosen
+    ]
     return shown, ""
 
 
-def _contenders(
+def _recipes(
     config: SuiteConfig,
     run: Path | None,
     encoder: Path | None,
@@ -189,7 +201,7 @@ def _contenders(
     *,
     references: bool,
 ) -> list[ActorRecipe]:
-    """Who attempts the suite, the one that is judged first; refuses what cannot work before anything is simulated."""
+    """The actors, the evaluated one first; refuses what cannot work before anything is simulated."""
     if goal not in GOALS:
         raise UsageError(f"--goal is {goal!r}{nearest(goal, GOALS)}")
     if (run is None) == (policy is None):
@@ -198,14 +210,14 @@ def _contenders(
     if policy is not None and policy not in known:
         raise UsageError(f"--policy is {policy!r}{nearest(policy, POLICIES)}; a trained one is given as --run RUN")
     if run is not None:
-        judged = trained(run, goal, config, encoder)
-        judged.check()
-        return [judged, *(known.values() if references else ())]
+        evaluated = trained(run, goal, config, encoder)
+        evaluated.check()
+        return [evaluated, *(known.values() if references else ())]
     reference = known.pop(str(policy))
     return [reference, *(known.values() if references else ())]
 
 
-def _make(out: Path) -> None:
+def _make_folder(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""What a goal speaks of, thing by thing: the parts of `achieved` that share a name, `red` of `red.x` and `red.y`."""
+"""Objects and fixtures in the achieved goal: dimensions that share a name, `red` of `red.x` and `red.y`."""
 
 import numpy as np
 
@@ -8,14 +8,14 @@ from playlearn.sim.environment import Environment
 
 
 def misplaced(environment: Environment, achieved: Array, goal: Array, tolerances: float = 1.0) -> list[str]:
-    """The things that, were all else as the goal (G,) shows it, would still not be reached.
+    """The objects that would still not be reached if everything else were as in the goal (G,).
 
-    tolerances: how many of the environment's own they may be off.
+    tolerances: how many of the environment's own tolerances an object may be off.
     """
     found = []
-    for thing, columns in ObjectLayout(environment.spec.achieved_names).objects().items():
+    for name, columns in ObjectLayout(environment.spec.achieved_names).objects().items():
         only = np.array(goal)
         only[columns] += (achieved[columns] - goal[columns]) / tolerances
         if not environment.reached(only, goal):
-            found.append(thing)
+            found.append(name)
     return found

@@ -1,4 +1,4 @@
-"""From attempts to `results.json`, `episodes.parquet` and the report's curves and pictures."""
+"""From episode results to `results.json`, `episodes.parquet`, curves, and the episodes that the report shows."""
 
 import io
 from collections import Counter
@@ -15,70 +15,61 @@ from playlearn.report.intervals import wilson
 CRASHED = "crashed"
 
 
-def summary(episode_results: Sequence[EpisodeResult]) -> dict[str, Any]:
-    """Rates and intervals of one contender, over all episodes and by task.
+def summary(results: Sequence[EpisodeResult]) -> dict[str, Any]:
+    """Rates and intervals of one policy, over all episodes and by task.
 
-    An episode of several goals is a success when the last of them is; by task each goal that was attempted counts.
-    `crashed` counts failures of the machinery, each of which is among the failures too.
+    An episode of several goals succeeds if its last goal does. By task, every attempted goal counts.
+    `crashed` counts rollouts that raised or were lost; each is also counted as a failure.
     """
-    rates = _rates(ends(episode_results)) | {
-        "crashed": sum(episode_result.reason.startswith(CRASHED) for episode_result in episode_results),
-        "steps_to_success": _mean(
-            [episode_result.steps for episode_result in episode_results if episode_result.success]
-        ),
+    rates = _rates(last_goals(results)) | {
+        "crashed": sum(row.reason.startswith(CRASHED) for row in results),
+        "steps_to_success": _mean([row.steps for row in results if row.success]),
         "tasks": {
-            task: _rates([episode_result for episode_result in episode_results if episode_result.task == task])
-            for task in sorted({episode_result.task for episode_result in episode_results})
+            task: _rates([row for row in results if row.task == task]) for task in sorted({row.task for row in results})
         },
     }
-    return rates | (
-        {"chain": chain(episode_results)} if any(episode_result.links > 1 for episode_result in episode_results) else {}
-    )
+    return rates | ({"chain": chain(results)} if any(row.num_goals > 1 for row in results) else {})
 
 
-def ends(episode_results: Sequence[EpisodeResult]) -> list[EpisodeResult]:
-    """Each episode's last attempt, by episode: of several goals in a row the one that was not reached, if any."""
-    last = {
-        episode_result.episode: episode_result
-        for episode_result in sorted(episode_results, key=lambda one: (one.episode, one.link))
-    }
-    return list(last.values())
+def last_goals(results: Sequence[EpisodeResult]) -> list[EpisodeResult]:
+    """The row of each episode's last attempted goal, by episode: in a chain, the failed one if there is one."""
+    return list({row.episode: row for row in sorted(results, key=lambda row: (row.episode, row.goal_index))}.values())
 
 
-def chain(episode_results: Sequence[EpisodeResult]) -> dict[str, Any]:
-    """How many goals in a row one contender reached.
+def chain(results: Sequence[EpisodeResult]) -> dict[str, Any]:
+    """How many goals in a row one policy reached.
 
-    length_mean: of the chains, the goals reached before the first that was not. Its interval is Wilson's for a share
-    length_mean / links: a quantity in [0, 1] varies no more than a coin of the same mean, so it is rather too wide.
-    at_least: the share of chains in which 1, 2, ... were reached. already: the share of the reached goals that were
-    there before anything was done. ended_by: at which tasks chains ended, the most frequent first.
+    num_goals: goals of a chain.
+    length_mean: goals reached before the first failure. Its interval is Wilson's for the fraction length_mean /
+        num_goals: a quantity in [0, 1] varies no more than a coin of the same mean, so it is conservative.
+    at_least: fraction of chains with 1, 2, ... goals reached.
+    solved_at_start: fraction of the reached goals that were satisfied before the first action.
+    ended_by: tasks at which chains ended, the most frequent first.
     """
-    last = ends(episode_results)
-    links, count = max(episode_result.links for episode_result in episode_results), len(last)
-    lengths = [episode_result.link + episode_result.success for episode_result in last]
-    low, high = wilson(sum(lengths) / links, count)
-    reaching = [sum(length >= k for length in lengths) for k in range(1, links + 1)]
-    reached = [episode_result for episode_result in episode_results if episode_result.success]
+    last = last_goals(results)
+    num_goals, count = max(row.num_goals for row in results), len(last)
+    lengths = [row.goal_index + row.success for row in last]
+    low, high = wilson(sum(lengths) / num_goals, count)
+    at_least = [sum(length >= k for length in lengths) for k in range(1, num_goals + 1)]
+    reached = [row for row in results if row.success]
     return {
-        "links": links,
+        "num_goals": num_goals,
         "length_mean": sum(lengths) / count,
-        "length_ci95": [links * low, links * high],
-        "at_least": [number / count for number in reaching],
-        "at_least_ci95": [list(wilson(number, count)) for number in reaching],
-        "already": sum(episode_result.already for episode_result in reached) / max(1, len(reached)),
-        "ended_by": dict(
-            Counter(episode_result.task for episode_result in last if not episode_result.success).most_common()
-        ),
+        "length_ci95": [num_goals * low, num_goals * high],
+        "at_least": [number / count for number in at_least],
+        "at_least_ci95": [list(wilson(number, count)) for number in at_least],
+        "solved_at_start": sum(row.solved_at_start for row in reached) / max(1, len(reached)),
+        "ended_by": dict(Counter(row.task for row in last if not row.success).most_common()),
     }
 
 
-def _rates(episode_results: Sequence[EpisodeResult]) -> dict[str, Any]:
-    count, won = len(episode_results), sum(episode_result.success for episode_result in episode_results)
-    strict = sum(episode_result.strict for episode_result in episode_results)
+def _rates(results: Sequence[EpisodeResult]) -> dict[str, Any]:
+    count, successes = len(results), sum(row.success for row in results)
+    strict = sum(row.strict for row in results)
     return {
         "episodes": count,
-        "success_rate": won / count if count else 0.0,
-        "ci95": list(wilson(won, count)),
+        "success_rate": successes / count if count else 0.0,
+        "ci95": list(wilson(successes, count)),
         "strict_rate": strict / count if count else 0.0,
         "strict_ci95": list(wilson(strict, count)),
     }
@@ -88,15 +79,15 @@ def _mean(values: Sequence[int]) -> float | None:
     return sum(values) / len(values) if values else None
 
 
-def curve(episode_results: Sequence[EpisodeResult], max_steps: int) -> list[float]:
-    """(max_steps + 1,) the share of attempts, each at one goal, that had succeeded by each step."""
-    count = max(1, len(episode_results))
-    return [sum(a.success and a.steps <= step for a in episode_results) / count for step in range(max_steps + 1)]
+def curve(results: Sequence[EpisodeResult], max_steps: int) -> list[float]:
+    """(max_steps + 1,) fraction of the attempted goals that were reached by each step."""
+    count = max(1, len(results))
+    return [sum(row.success and row.steps <= step for row in results) / count for step in range(max_steps + 1)]
 
 
-def parquet(episode_results: Sequence[EpisodeResult]) -> bytes:
-    """One row an attempt."""
-    rows = [asdict(episode_result) for episode_result in episode_results]
+def parquet(results: Sequence[EpisodeResult]) -> bytes:
+    """One row for each attempted goal."""
+    rows = [asdict(result) for result in results]
     numbers = pa.list_(pa.float64())
     kinds: dict[Any, pa.DataType] = {str: pa.string(), int: pa.int64(), bool: pa.bool_()}
     schema = pa.schema([(entry.name, kinds.get(entry.type, numbers)) for entry in fields(EpisodeResult)])
@@ -106,29 +97,29 @@ def parquet(episode_results: Sequence[EpisodeResult]) -> bytes:
     return buffer.getvalue()
 
 
-def to_show(episode_results: Sequence[EpisodeResult], successes: int, failures: int) -> list[EpisodeResult]:
-    """The first few successes and failures of every task, by episode: the same whoever finished first."""
+def to_show(results: Sequence[EpisodeResult], successes: int, failures: int) -> list[EpisodeResult]:
+    """The first few successes and failures of every task, by episode: independent of which worker finished first."""
     chosen: list[EpisodeResult] = []
-    for task in sorted({episode_result.task for episode_result in episode_results}):
-        mine = sorted((a for a in episode_results if a.task == task), key=lambda episode_result: episode_result.episode)
-        chosen += [a for a in mine if a.success][:successes] + [a for a in mine if not a.success][:failures]
+    for task in sorted({row.task for row in results}):
+        own = sorted((row for row in results if row.task == task), key=lambda row: row.episode)
+        chosen += [row for row in own if row.success][:successes] + [row for row in own if not row.success][:failures]
     return chosen
 
 
 def to_film(shown: Sequence[EpisodeResult], successes: int, failures: int) -> set[int]:
-    """The episodes of a few short films, of as many tasks as there are: `shown` goes task by task."""
+    """The episodes of a few short films, of as many tasks as possible; `shown` goes task by task."""
     filmed: set[int] = set()
     for wanted, success in ((successes, True), (failures, False)):
-        mine = [episode_result for episode_result in shown if episode_result.success == success]
-        firsts = list({episode_result.task: episode_result for episode_result in reversed(mine)}.values())[::-1]
-        others = [episode_result for episode_result in mine if episode_result not in firsts]
-        filmed |= {episode_result.episode for episode_result in (firsts + others)[:wanted]}
+        own = [row for row in shown if row.success == success]
+        firsts = list({row.task: row for row in reversed(own)}.values())[::-1]
+        others = [row for row in own if row not in firsts]
+        filmed |= {row.episode for row in (firsts + others)[:wanted]}
     return filmed
 
 
-def by_policy(episode_results: Sequence[EpisodeResult]) -> Mapping[str, list[EpisodeResult]]:
-    """Each contender's attempts in the order of the episodes."""
+def by_policy(results: Sequence[EpisodeResult]) -> Mapping[str, list[EpisodeResult]]:
+    """The results of each policy, by episode."""
     grouped: dict[str, list[EpisodeResult]] = {}
-    for episode_result in sorted(episode_results, key=lambda episode_result: episode_result.episode):
-        grouped.setdefault(episode_result.policy, []).append(episode_result)
+    for row in sorted(results, key=lambda row: row.episode):
+        grouped.setdefault(row.policy, []).append(row)
     return grouped

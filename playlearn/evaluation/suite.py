@@ -18,7 +18,12 @@ Judge = Callable[[Array, Array, Array], bool]
 
 @dataclass(frozen=True, eq=False)
 class ChainGoal:
-    """One goal, and the task it is judged as. goal_state: (N,) float64; goal: what the policy is shown of it."""
+    """One goal of an episode.
+
+    task: whose judge decides success.
+    goal: what the policy is shown.
+    goal_sim_state: (N,) float64.
+    """
 
     task: str
     goal: Goal
@@ -27,30 +32,37 @@ class ChainGoal:
 
 @dataclass(frozen=True, eq=False)
 class EvalEpisode:
-    """One episode to be attempted.
+    """One episode of a suite.
 
-    start, goal_state: (N,) float64 simulator states. goal: what the policy is shown of the latter.
-    redraws: how many draws were thrown away before this one. seed: the attempting actor's randomness.
-    then: goals that follow without a reset, each once the one before it is reached. made_by: what the expert did
-    for the goal, where the task's name does not say. max_steps: the budget of each goal (None: the suite's).
+    episode: its number.
+    task: whose judge decides success.
+    start_sim_state: (N,) float64.
+    start_achieved: (G,) achieved goal at the start.
+    goal: what the policy is shown.
+    goal_sim_state: (N,) float64.
+    seed: of the actor.
+    redraws: start states that were drawn and rejected before this one.
+    next_goals: further goals without a reset, each given once the previous one is reached.
+    expert_tasks: tasks that the expert did to make the goal, if `task` does not name them.
+    max_steps: step budget of each goal (None: the suite's).
     """
 
     episode: int
     task: str
-    start: Array
+    start_sim_state: Array
     start_achieved: Array
     goal: Goal
     goal_sim_state: Array
     seed: int
     redraws: int = 0
-    then: tuple[ChainGoal, ...] = ()
-    made_by: str = ""
+    next_goals: tuple[ChainGoal, ...] = ()
+    expert_tasks: str = ""
     max_steps: int | None = None
 
     @property
-    def links(self) -> tuple[ChainGoal, ...]:
-        """All goals in their order."""
-        return (ChainGoal(self.task, self.goal, self.goal_sim_state), *self.then)
+    def goals(self) -> tuple[ChainGoal, ...]:
+        """All goals, in order."""
+        return (ChainGoal(self.task, self.goal, self.goal_sim_state), *self.next_goals)
 
 
 @dataclass(frozen=True)
@@ -58,40 +70,48 @@ class SuiteKind(draccus.ChoiceRegistry):
     """Where start states and goals come from; `type:` in a suite's `kind:` picks one."""
 
     def prepare(self, run: Path | None) -> "SuiteKind":
-        """Complete from the run that is evaluated what the suite leaves open; before any simulation.
+        """Fill in what the suite leaves open from the run that is evaluated; called before any simulation.
 
         Raises:
-            PlaylearnError: something that the suite is made from is missing.
+            PlaylearnError: data that the suite is made from is missing.
         """
         raise NotImplementedError
 
     def setup(
         self, environment: Environment, expert: Actor, episode: int, seed: int, max_steps: int, cameras: Sequence[str]
     ) -> EvalEpisode:
-        """Episode number `episode` of the suite under `seed`, whatever was set up before.
+        """Episode number `episode` of the suite under `seed`, independent of earlier calls.
 
         The goal is shown through `cameras`. Leaves the environment in any state.
 
         Raises:
-            PlaylearnError: no such episode can be made.
+            PlaylearnError: the episode cannot be made.
         """
         raise NotImplementedError
 
     def judge(self, environment: Environment, task: str) -> Judge:
-        """(start, achieved, goal) -> bool, each (G,): what success means in a task of this suite."""
+        """(start, achieved, goal) -> bool, each (G,): the success criterion of a task in this suite."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class SuiteConfig:
-    """What an evaluation repeats exactly whenever it is run.
+    """Config of an evaluation; the same suite gives the same episodes whenever it is run.
 
-    environment: the world. kind: where starts and goals come from. episodes: in all, spread evenly
-    over the tasks. max_steps: the budget of a goal. hold: for how many consecutive steps the
-    judge must be content. cohort: how many episodes are stepped together (and planned for in one batch).
-    n_action_steps, guidance: how a trained policy acts (null: as is usual for it). subgoals: a run that proposes
-    them, each for `subgoal_seconds` at most (null: the policy acts on the goal itself). picture: height of
-    the report's pictures in pixels, as seen through `camera`.
+    name: of the suite.
+    environment: config of the environment.
+    kind: where start states and goals come from.
+    episodes: total, spread evenly over the tasks.
+    seed: of start states and goals.
+    max_steps: step budget of a goal.
+    success_hold_steps: consecutive steps for which the judge must be satisfied.
+    num_envs: episodes that are stepped together (and planned for in one batch).
+    n_action_steps: actions of a chunk that are executed before the next plan (null: half of the chunk).
+    guidance: weight of the goal (null: the policy's default).
+    subgoals: run of the high-level policy that proposes subgoals (null: none).
+    subgoal_seconds: at most so long is each subgoal pursued.
+    picture: height of the report's pictures, in pixels.
+    camera: of the report's pictures.
     """
 
     name: str
@@ -115,17 +135,18 @@ class SuiteConfig:
                 raise UsageError(f"{name} must be 1 or more, got {getattr(self, name)}")
         if self.success_hold_steps > self.max_steps:
             raise UsageError(
-                f"hold ({self.success_hold_steps}) is longer than max_steps ({self.max_steps}): nothing could succeed"
+                f"success_hold_steps ({self.success_hold_steps}) is longer than max_steps "
+                f"({self.max_steps}): nothing could succeed"
             )
 
     def batches(self) -> list[tuple[int, ...]]:
-        """The numbers of the episodes that are stepped together; never depends on the number of workers."""
+        """The episodes that are stepped together; independent of the number of workers."""
         numbers = range(self.episodes)
         return [tuple(numbers[i : i + self.num_envs]) for i in range(0, self.episodes, self.num_envs)]
 
 
 def load_suite(path: Path, overrides: Sequence[str] = ()) -> SuiteConfig:
-    """The suite that a file describes; raises UsageError where it does not."""
+    """The suite of a file; raises UsageError if the file is no valid suite."""
     return load_config(SuiteConfig, path, overrides)
 
 
@@ -135,10 +156,10 @@ def derived_seed(*parts: int) -> int:
 
 
 def goal_from(environment: Environment, cameras: Sequence[str]) -> Goal:
-    """What the world shows right now, as a goal."""
-    seen = environment.observe(tuple(cameras))
+    """The present state of the environment, as a goal."""
+    now = environment.observe(tuple(cameras))
     return Goal(
-        achieved=np.array(seen.achieved, dtype=np.float32),
-        images={camera: np.array(image) for camera, image in seen.images.items()},
-        state=np.array(seen.state, dtype=np.float32),
+        achieved=np.array(now.achieved, dtype=np.float32),
+        images={camera: np.array(image) for camera, image in now.images.items()},
+        state=np.array(now.state, dtype=np.float32),
     )

@@ -1,1 +1,1 @@
-"""At home in LeRobot: its datasets written with cards and goals, our policies and worlds under its own commands."""
+"""Integration with LeRobot: datasets with cards and goals; our policies and environments under its commands."""

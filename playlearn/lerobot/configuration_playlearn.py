@@ -25,11 +25,16 @@ GOAL_IMAGES = IMAGES + "goal_"
 @PreTrainedConfig.register_subclass("playlearn")
 @dataclass
 class PlaylearnConfig(PreTrainedConfig):  # type: ignore[misc]
-    """recipe: a YAML file whose `policy:` block says how the policy is built, as for `playlearn train`.
+    """LeRobot's config of a policy.
 
-    built: the policy's config and the world it was made for, as JSON; written by playlearn, and wins over the recipe.
-    n_action_steps: actions of a chunk that are executed before the next plan; null for half of it.
-    guidance: weight of the goal; null for the plain prediction. seed: of what the policy draws when it acts.
+    recipe: YAML file of `playlearn train` whose `policy:` block is used (null: defaults).
+    built: config and spec of a policy, as JSON; written by playlearn, and used instead of the recipe.
+    n_action_steps: actions of a chunk that are executed before the next plan (null: half of the chunk).
+    guidance: weight of the goal (null: no guidance).
+    seed: of the policy's noise when it acts.
+    optimizer_lr: learning rate of AdamW.
+    optimizer_weight_decay: of AdamW.
+    normalization_mapping: LeRobot's own; all identity, as the policy normalizes by itself.
     """
 
     recipe: str | None = None
@@ -39,27 +44,27 @@ class PlaylearnConfig(PreTrainedConfig):  # type: ignore[misc]
     seed: int = 0
     optimizer_lr: float = 5e-4
     optimizer_weight_decay: float = 1e-3
-    # The policy normalizes by itself, with statistics that stand among its weights.
+    # The policy normalizes by itself, with statistics that are stored among its weights.
     normalization_mapping: dict[str, NormalizationMode] = field(
         default_factory=lambda: dict.fromkeys(("VISUAL", "STATE", "ENV", "ACTION"), NormalizationMode.IDENTITY)
     )
 
     def policy(self) -> PolicyConfig:
-        """Raises UsageError where the recipe describes none."""
+        """The policy's config; raises UsageError if the recipe has none."""
         if self.built is not None:
             return from_dict(PolicyConfig, json.loads(self.built)["config"])
         return PolicyConfig() if self.recipe is None else load_config(TrainConfig, Path(self.recipe)).policy
 
     def spec(self) -> PolicySpec | None:
-        """The world it was made for; None where that is not known yet."""
+        """The spec that it was built for; None if it is not built yet."""
         return None if self.built is None else PolicySpec.from_dict(json.loads(self.built)["spec"])
 
     def validate_features(self) -> None:
-        """Raises UsageError where there is no goal among the inputs."""
+        """Raises UsageError if there is no goal among the inputs."""
         if not any(key == GOAL or key.startswith(GOAL_IMAGES) for key in self.input_features or {}):
             raise UsageError(
                 "this dataset has no goals: write it with `playlearn export lerobot STORE OUT --goals`, or train with "
-                "`playlearn train`, which draws goals as it goes (`store: {type: lerobot, root: ...}`)"
+                "`playlearn train`, which samples goals while training (`store: {type: lerobot, root: ...}`)"
             )
 
     def get_optimizer_preset(self) -> AdamWConfig:
@@ -83,12 +88,12 @@ class PlaylearnConfig(PreTrainedConfig):  # type: ignore[misc]
 
 
 def features(spec: PolicySpec, policy: PolicyConfig) -> tuple[dict[str, PolicyFeature], dict[str, PolicyFeature]]:
-    """What a policy reads and what it gives, in LeRobot's words; images channel first."""
-    own, goal, encoder = len(spec.state_names), len(spec.achieved_names), policy.encoder
-    read: dict[str, Any] = {STATE: (FeatureType.STATE, (own,))}
+    """Inputs and outputs of a policy as LeRobot's features; images are channel first."""
+    state, goal, encoder = len(spec.state_names), len(spec.achieved_names), policy.encoder
+    features: dict[str, Any] = {STATE: (FeatureType.STATE, (state,))}
     if "state" in encoder.goals and goal:
-        read |= {ACHIEVED: (FeatureType.ENV, (2 * goal,)), GOAL: (FeatureType.STATE, (goal,))}
+        features |= {ACHIEVED: (FeatureType.ENV, (2 * goal,)), GOAL: (FeatureType.STATE, (goal,))}
     for prefix, cameras in ((IMAGES, encoder.observation_cameras), (GOAL_IMAGES, encoder.goal_cameras)):
-        read |= {prefix + camera: (FeatureType.VISUAL, (3, *spec.cameras[camera])) for camera in cameras}
-    inputs = {key: PolicyFeature(type=kind, shape=shape) for key, (kind, shape) in read.items()}
+        features |= {prefix + camera: (FeatureType.VISUAL, (3, *spec.cameras[camera])) for camera in cameras}
+    inputs = {key: PolicyFeature(type=kind, shape=shape) for key, (kind, shape) in features.items()}
     return inputs, {"action": PolicyFeature(type=FeatureType.ACTION, shape=(len(spec.action_names),))}

@@ -1,7 +1,7 @@
-"""Our worlds under LeRobot's own commands: `lerobot-eval --env.type=playlearn --env.suite=eval/suites/NAME.yaml`.
+"""Our environments under LeRobot's own commands: `lerobot-eval --env.type=playlearn --env.suite=eval/suites/NAME.yaml`.
 
-An episode is one of a suite's: seed n sets up its episode n, the very one that `playlearn eval` attempts under that
-number. The goal is seen as one more camera, `goal_<camera>`, and as numbers.
+Episodes are those of a suite: seed n sets up episode n, the same as in `playlearn eval`. The goal is observed as one
+more camera, `goal_<camera>`, and as a state.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,15 +24,23 @@ from playlearn.report.pictures import beside
 from playlearn.rollout import Actor
 from playlearn.sim.environment import Environment
 
-LIMIT = np.float32(1e3)  # of any number seen: meters, radians, shares
+LIMIT = np.float32(1e3)  # bound of the observation space: meters, radians, fractions
 
 
 @EnvConfig.register_subclass("playlearn")
 @dataclass
 class PlaylearnEnvConfig(EnvConfig):  # type: ignore[misc]
-    """suite: the file that says which world, starts, goals and budgets. max_steps: instead of the suite's.
+    """LeRobot's config of an environment.
 
-    Raises UsageError where no suite is named.
+    suite: file with the environment, start states, goals and budgets.
+    max_steps: instead of the suite's.
+    task: LeRobot's own, unused.
+    fps: control steps a second, taken from the environment.
+    features: of observations and actions, taken from the environment.
+    features_map: gymnasium key -> LeRobot key.
+    disable_env_checker: LeRobot's own.
+
+    Raises UsageError if no suite is named.
     """
 
     suite: str = ""
@@ -52,7 +60,7 @@ class PlaylearnEnvConfig(EnvConfig):  # type: ignore[misc]
         self.features_map = {"action": "action"}
         numbers = {"agent_pos": "observation.state", "environment_state": "observation.environment_state"}
         kinds = {"agent_pos": FeatureType.STATE, "environment_state": FeatureType.ENV, "goal.state": FeatureType.STATE}
-        for key, space in env.seen.items():
+        for key, space in env.observation_spaces.items():
             if isinstance(space, spaces.Dict):
                 for camera, box in space.items():
                     self.features[f"pixels/{camera}"] = PolicyFeature(FeatureType.VISUAL, box.shape)
@@ -71,7 +79,7 @@ class PlaylearnEnvConfig(EnvConfig):  # type: ignore[misc]
 
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, gym.vector.VectorEnv]]:
         kind = gym.vector.AsyncVectorEnv if use_async_envs and n_envs > 1 else gym.vector.SyncVectorEnv
-        # One that is done waits for the others; LeRobot would have it play on, with a new start and goal each time.
+        # An environment that is done waits for the others; LeRobot would go on with a new start and goal each time.
         make = lambda: FreezeAfterEpisodeEnd(self.make())  # noqa: E731
         envs = kind([make] * n_envs, autoreset_mode=gym.vector.AutoresetMode.SAME_STEP)
         return {Path(self.suite).stem: {0: envs}}
@@ -80,11 +88,11 @@ class PlaylearnEnvConfig(EnvConfig):  # type: ignore[misc]
 class GoalEnv(gym.Env[dict[str, Any], Array]):
     """A suite's episodes as a gymnasium environment; actions (A,) in [-1, 1].
 
-    Observations: pixels {camera, goal_camera: (h, w, 3) uint8}, agent_pos (S,), environment_state (2 G,) what is and
-    what shall be, goal.state (G,). Success, as the suite judges it, ends an episode with a reward of 1.
+    Observations: pixels {camera, goal_camera: (h, w, 3) uint8}, agent_pos (S,), environment_state (2 G,) achieved goal
+    and goal, goal.state (G,). Success, as the suite defines it, ends an episode with a reward of 1.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012 - gymnasium's own way
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012 - as gymnasium declares it
 
     def __init__(
         self,
@@ -93,7 +101,7 @@ class GoalEnv(gym.Env[dict[str, Any], Array]):
         expert: Callable[[Environment], Actor] = scripted,
         render_mode: str = "rgb_array",
     ) -> None:
-        """max_steps: instead of the suite's. expert: makes who shows the goals (see `SuiteKind.setup`)."""
+        """max_steps: instead of the suite's. expert: builds the expert that makes the goals (see `SuiteKind.setup`)."""
         self.suite, self.render_mode = suite, render_mode
         self.env = suite.environment.build()
         self._expert = expert(self.env)
@@ -102,31 +110,31 @@ class GoalEnv(gym.Env[dict[str, Any], Array]):
         self._max_episode_steps = max_steps or suite.max_steps
         self.metadata = {**self.metadata, "render_fps": round(self.env.spec.fps)}
         self.env.reset(0)
-        seen = self.env.observe(self.env.spec.cameras)
-        shown = {name: image for camera, image in seen.images.items() for name in (camera, f"goal_{camera}")}
+        observed = self.env.observe(self.env.spec.cameras)
+        images = {name: image for camera, image in observed.images.items() for name in (camera, f"goal_{camera}")}
         numbers = {
-            "agent_pos": len(seen.state),
-            "environment_state": 2 * len(seen.achieved),
-            "goal.state": len(seen.achieved),
+            "agent_pos": len(observed.state),
+            "environment_state": 2 * len(observed.achieved),
+            "goal.state": len(observed.achieved),
         }
         boxes: dict[str, spaces.Space[Any]] = {
             key: spaces.Box(-LIMIT, LIMIT, (n,), np.float32) for key, n in numbers.items()
         }
-        if shown:
+        if images:
             pictures: dict[str, spaces.Space[Any]] = {
-                name: spaces.Box(0, 255, image.shape, np.uint8) for name, image in shown.items()
+                name: spaces.Box(0, 255, image.shape, np.uint8) for name, image in images.items()
             }
             boxes["pixels"] = spaces.Dict(pictures)
-        self.observation_space = self.seen = spaces.Dict(boxes)
+        self.observation_space = self.observation_spaces = spaces.Dict(boxes)
         self.action_space = spaces.Box(-1.0, 1.0, (len(self.env.spec.action_names),), np.float32)
         self._next = 0
-        self._setup: EvalEpisode | None = None
-        self._steps, self._content = 0, 0
+        self._eval_episode: EvalEpisode | None = None
+        self._steps, self._steps_held = 0, 0
 
     @property
     def task(self) -> str:
-        """What the goal of this episode is called."""
-        return "" if self._setup is None else self._setup.task.replace("_", " ")
+        """Name of the task of this episode."""
+        return "" if self._eval_episode is None else self._eval_episode.task.replace("_", " ")
 
     task_description = task
 
@@ -138,55 +146,55 @@ class GoalEnv(gym.Env[dict[str, Any], Array]):
         number = self._next if seed is None else seed
         self._next = number + 1
         suite, cameras = self.suite, self.env.spec.cameras
-        self._setup = self._kind.setup(self.env, self._expert, number, suite.seed, suite.max_steps, cameras)
-        self.env.set_state(self._setup.start)
-        self._max_episode_steps = self._limit or self._setup.max_steps or suite.max_steps
-        self._steps, self._content = 0, 0
-        return self._observation(), {"is_success": False, "task": self._setup.task}
+        self._eval_episode = self._kind.setup(self.env, self._expert, number, suite.seed, suite.max_steps, cameras)
+        self.env.set_state(self._eval_episode.start_sim_state)
+        self._max_episode_steps = self._limit or self._eval_episode.max_steps or suite.max_steps
+        self._steps, self._steps_held = 0, 0
+        return self._observation(), {"is_success": False, "task": self._eval_episode.task}
 
     def step(self, action: Array) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """One control period; the world's own end (something fell) is one without success."""
-        setup = self._setup
-        if setup is None:
+        """One control step; a failure of the environment (something fell) ends the episode without success."""
+        episode = self._eval_episode
+        if episode is None:
             raise UsageError("reset the environment before its first step")
-        over = False
+        terminated = False
         try:
             self.env.step(np.clip(np.asarray(action, np.float32), -1, 1))
-        except PlaylearnError:  # physics broke, or the action is no number
-            over = True
+        except PlaylearnError:  # the simulation diverged, or the action is not finite
+            terminated = True
         self._steps += 1
         achieved = self.env.observe().achieved
-        content = self._kind.judge(self.env, setup.task)(setup.start_achieved, achieved, setup.goal.achieved)
-        self._content = self._content + 1 if content and not over else 0
-        success = self._content >= self.suite.success_hold_steps
-        over |= success or self.env.failure() is not None
-        late = not over and self._steps >= self._max_episode_steps
-        return self._observation(), float(success), over, late, {"is_success": success, "task": setup.task}
+        satisfied = self._kind.judge(self.env, episode.task)(episode.start_achieved, achieved, episode.goal.achieved)
+        self._steps_held = self._steps_held + 1 if satisfied and not terminated else 0
+        success = self._steps_held >= self.suite.success_hold_steps
+        terminated |= success or self.env.failure() is not None
+        truncated = not terminated and self._steps >= self._max_episode_steps
+        return self._observation(), float(success), terminated, truncated, {"is_success": success, "task": episode.task}
 
     def render(self) -> Array:
-        """(h, w, 3) uint8: the world, and its goal beside it."""
+        """(h, w, 3) uint8: the environment with its goal beside it."""
         camera = self.suite.camera
         now = self.env.render(camera)
-        shown = None if self._setup is None else self._setup.goal.images.get(camera)
-        return now if shown is None else beside(now, shown)
+        goal = None if self._eval_episode is None else self._eval_episode.goal.images.get(camera)
+        return now if goal is None else beside(now, goal)
 
     def close(self) -> None:
         self.env.close()
 
     def _observation(self) -> dict[str, Any]:
-        assert self._setup is not None  # noqa: S101 - only called after reset
-        goal, cameras = self._setup.goal, self.env.spec.cameras
-        seen = self.env.observe(cameras)
-        told: dict[str, Any] = {
-            "agent_pos": np.array(seen.state, np.float32),
-            "environment_state": np.concatenate([seen.achieved, goal.achieved]).astype(np.float32),
+        assert self._eval_episode is not None  # noqa: S101 - only called after reset
+        goal, cameras = self._eval_episode.goal, self.env.spec.cameras
+        observed = self.env.observe(cameras)
+        observation: dict[str, Any] = {
+            "agent_pos": np.array(observed.state, np.float32),
+            "environment_state": np.concatenate([observed.achieved, goal.achieved]).astype(np.float32),
             "goal.state": np.array(goal.achieved, np.float32),
         }
         if cameras:
-            told["pixels"] = _pictures(seen.images, goal.images, cameras)
-        return told
+            observation["pixels"] = _pixels(observed.images, goal.images, cameras)
+        return observation
 
 
-def _pictures(now: Any, goal: Any, cameras: Sequence[str]) -> dict[str, Array]:
+def _pixels(now: Any, goal: Any, cameras: Sequence[str]) -> dict[str, Array]:
     own = {camera: np.array(now[camera]) for camera in cameras}
     return own | {f"goal_{camera}": np.array(goal[camera]) for camera in cameras}

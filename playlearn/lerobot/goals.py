@@ -1,15 +1,15 @@
-"""Play relabeled for policies that know nothing of goals: each window of it an episode that carries its goal.
+"""Relabeled play for policies without goals: each window of play is an episode that carries its goal.
 
     an episode of play   0 ---------- 61 -------------- 140 ---- ... T
     its windows          [0, 61) goal 61   [61, 140) goal 140    [140, ...
 
-A window ends where its goal is reached and the next begins there, so that every step with a later goal is in one.
-Beside the columns of plain play, all frames of a window say
+A window ends where its goal is reached and the next one begins there, so that every step with a later goal is in one.
+All frames of a window have these columns besides those of plain play:
 
-    observation.images.goal_<camera>   (h, w, 3)   what the camera sees in the goal
-    observation.goal.state             (G,)        objects and fixtures there (the robot, where no more is known)
-    observation.environment_state      (2 G,)      what the objects are and what they shall be: of states LeRobot's
-                                                   policies read this one and the robot's own only
+    observation.images.goal_<camera>   (h, w, 3)   image of the goal
+    observation.goal.state             (G,)        objects and fixtures in the goal (the robot if there are no others)
+    observation.environment_state      (2 G,)      achieved goal and goal: LeRobot's policies read no other states
+                                                   than this one and the robot's
     next.success                       (1,) bool   at its last frame
 """
 
@@ -39,7 +39,7 @@ from playlearn.store.lerobot.content import (
     Entry,
     Features,
     flags,
-    pictures,
+    image_features,
     steps,
     subtasks,
     vectors,
@@ -50,9 +50,13 @@ GOAL_IMAGES, GOAL_STATE = IMAGES + "goal_", "observation.goal.state"
 
 @dataclass(frozen=True)
 class RelabelConfig:
-    """goals: the sampler; it must draw later moments only. settling, goal_names: as in training.
+    """How play is relabeled for export.
 
-    cameras: those that show the goal; null for all. seed: the same one gives the same windows.
+    goals: goal sampler; it must draw later moments only.
+    settling: how settled moments are found.
+    goal_names: dimensions that goals are about, as in training.
+    cameras: that show the goal (null: all).
+    seed: of the sampler.
     """
 
     goals: GoalSamplerConfig = field(default_factory=SettledConfig)
@@ -64,7 +68,7 @@ class RelabelConfig:
 
 @dataclass(frozen=True)
 class Window:
-    """Steps begin ... goal-1 of an episode, which lead to observation `goal`."""
+    """Steps begin ... goal-1 of an episode, which end in observation `goal`."""
 
     episode: int
     begin: int
@@ -73,9 +77,13 @@ class Window:
 
 @dataclass
 class Windows:
-    """A store relabeled: one entry a window (see `content.Content`). annotated: with skills as subtasks.
+    """A relabeled store: one entry a window (see `content.Content`).
 
-    The task of a window is its episode's, or the skill that brings the goal about, in words.
+    The task of a window is its episode's, or its last skill.
+
+    store: of the play.
+    config: of the relabeling.
+    annotated: write skills as subtasks.
     """
 
     store: Store
@@ -87,33 +95,35 @@ class Windows:
 
     @cached_property
     def cameras(self) -> tuple[str, ...]:
-        """Raises UsageError where the store lacks one."""
-        there = self.store.cameras()
-        wanted = tuple(there) if self.config.cameras is None else self.config.cameras
-        missing = [camera for camera in wanted if camera not in there]
+        """The cameras that show the goal; raises UsageError if the store lacks one."""
+        known = self.store.cameras()
+        wanted = tuple(known) if self.config.cameras is None else self.config.cameras
+        missing = [camera for camera in wanted if camera not in known]
         if missing:
             raise UsageError(
-                f"{self.store.name()} has no images of {', '.join(missing)}; it has: {', '.join(there) or 'none'}"
+                f"{self.store.name()} has no images of {', '.join(missing)}; it has: {', '.join(known) or 'none'}"
             )
         return wanted
 
     @cached_property
     def windows(self) -> tuple[Window, ...]:
-        """Raises StoreError where no step has a later goal, UsageError where a drawn goal is no later moment."""
+        """Raises StoreError if no step has a later goal, UsageError if a drawn goal is not a later moment."""
         config = self.config
-        table = RelabelIndex.of_store(self.store, config.settling, config.goal_names)
+        index = RelabelIndex.of_store(self.store, config.settling, config.goal_names)
         sampler = config.goals.build()
         found = []
         for episode in range(len(self.store)):
-            length = int(table.lengths[episode])
-            every = np.arange(length)
+            length = int(index.lengths[episode])
+            moments = np.arange(length)
             own = np.full(length, episode)
-            valid = sampler.valid(table, own, every)
-            uniforms = counter_uniforms(config.seed, 0, table.starts[episode] + every, UNIFORMS)
+            valid = sampler.valid(index, own, moments)
+            uniforms = counter_uniforms(config.seed, 0, index.starts[episode] + moments, UNIFORMS)
             goals = np.zeros(length, np.int64)
-            goals[valid] = sampler.draw(table, own[valid], every[valid], uniforms[valid])
-            if (valid & ((goals <= every) | (goals > length))).any():
-                raise UsageError("goals: this sampler draws moments that no action leads to; take one of later moments")
+            goals[valid] = sampler.draw(index, own[valid], moments[valid], uniforms[valid])
+            if (valid & ((goals <= moments) | (goals > length))).any():
+                raise UsageError(
+                    "goals: this sampler draws moments that are not later; choose one that draws later moments"
+                )
             t = 0
             while t < length:
                 if valid[t]:
@@ -127,13 +137,13 @@ class Windows:
 
     def features(self) -> Features:
         spec = self.store.spec
-        shown = spec.achieved_names or spec.state_names
-        wanted = tuple(f"goal.{name}" for name in shown)
-        both = (*spec.achieved_names, *wanted) if spec.achieved_names else ()
-        made = vectors({STATE: spec.state_names, ACHIEVED: both, ACTION: spec.action_names, GOAL_STATE: wanted})
+        names = spec.achieved_names or spec.state_names
+        goal_names = tuple(f"goal.{name}" for name in names)
+        both = (*spec.achieved_names, *goal_names) if spec.achieved_names else ()
+        made = vectors({STATE: spec.state_names, ACHIEVED: both, ACTION: spec.action_names, GOAL_STATE: goal_names})
         sizes = self.store.cameras()
         goals = {f"goal_{camera}": sizes[camera] for camera in self.cameras}
-        return made | flags(INTERVENTION, SUCCESS) | pictures(sizes | goals)
+        return made | flags(INTERVENTION, SUCCESS) | image_features(sizes | goals)
 
     def entry(self, i: int) -> Entry:
         window = self.windows[i]
@@ -141,17 +151,17 @@ class Windows:
         count = window.goal - window.begin
         arrays = episode.arrays()
 
-        def held(key: str) -> Array:
-            """(count, ...) what is observed in the goal, at each frame."""
+        def repeated(key: str) -> Array:
+            """(count, ...) the observation of the goal, repeated for each frame."""
             return np.repeat(arrays[key][window.goal][None], count, axis=0)
 
         columns = steps(episode, window.begin, window.goal)
-        goal = held(STORED["achieved"] if ACHIEVED in columns else STORED["state"])
+        goal = repeated(STORED["achieved"] if ACHIEVED in columns else STORED["state"])
         if ACHIEVED in columns:
             columns[ACHIEVED] = np.concatenate([columns[ACHIEVED], goal], axis=1)
-        reached = np.arange(count)[:, None] == count - 1
-        shown = {GOAL_IMAGES + camera: held(IMAGES + camera) for camera in self.cameras}
-        spoken = subtasks(episode, window.begin, window.goal)
-        task = episode.meta.task or (spoken[-1][1] if spoken else PLAY)
-        columns |= {GOAL_STATE: goal, SUCCESS: reached} | shown
-        return Entry(columns, (task,) * count, spoken if self.annotated else ())
+        success = np.arange(count)[:, None] == count - 1
+        goal_images = {GOAL_IMAGES + camera: repeated(IMAGES + camera) for camera in self.cameras}
+        skills = subtasks(episode, window.begin, window.goal)
+        task = episode.meta.task or (skills[-1][1] if skills else PLAY)
+        columns |= {GOAL_STATE: goal, SUCCESS: success} | goal_images
+        return Entry(columns, (task,) * count, skills if self.annotated else ())

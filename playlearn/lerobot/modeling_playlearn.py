@@ -1,6 +1,6 @@
-"""Our policy as one of LeRobot's: its batches in, its losses and actions out.
+"""Our policy as a LeRobot policy: takes its batches, returns its losses and actions.
 
-It acts as it does under `playlearn eval`, through the same actor; what it is shown comes by LeRobot's names.
+It acts through the same actor as under `playlearn eval`; observations have LeRobot's names.
 """
 
 import json
@@ -24,7 +24,7 @@ from playlearn.policies.execution import PolicyActor
 
 
 class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
-    """Built afresh for a dataset with goals, or as `config.built` says."""
+    """A new policy for a dataset with goals, or the one of `config.built`."""
 
     config_class = PlaylearnConfig
     name = "playlearn"
@@ -32,7 +32,7 @@ class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
     def __init__(
         self, config: PlaylearnConfig, dataset_stats: Mapping[str, Any] | None = None, dataset_meta: Any = None
     ) -> None:
-        """Raises UsageError where the dataset has no goals, or lacks what the policy reads."""
+        """Raises UsageError if the dataset has no goals, or lacks an input of the policy."""
         super().__init__(config)
         self.config: PlaylearnConfig = config
         spec = config.spec()
@@ -46,7 +46,7 @@ class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
         self._actor: PolicyActor | None = None
 
     def get_optim_params(self) -> list[dict[str, Any]]:
-        """As `playlearn train` has them: what is no matrix does not decay."""
+        """Parameter groups as in `playlearn train`: weight decay for matrices only."""
         matrices = [parameter for parameter in self.parameters() if parameter.ndim > 1]
         vectors = [parameter for parameter in self.parameters() if parameter.ndim <= 1]
         return [{"params": matrices}, {"params": vectors, "weight_decay": 0.0}]
@@ -71,7 +71,7 @@ class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
             action_mask=~padded.to(action.device),
             steps_to_goal=torch.zeros(len(action), dtype=torch.int64),
         )
-        loss, metrics = self.policy(labeled, self._generator) if self.training else self._judged(labeled)
+        loss, metrics = self.policy(labeled, self._generator) if self.training else self._evaluate(labeled)
         self.policy.head.updates += int(self.training)
         return loss, {name: float(value) for name, value in metrics.items()}
 
@@ -81,36 +81,36 @@ class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
         return chunk.to(self.policy.device)
 
     def select_action(self, batch: Mapping[str, Tensor], **_: Any) -> Tensor:
-        """(B, A), of the plan in hand; the goal of an episode is the one that its first observation shows."""
+        """(B, A) from the current chunk; the goal of an episode is the one in its first observation."""
         inputs = self._inputs(batch)
-        seen, goals = _observations(inputs), _goals(inputs)
+        observations, goals = _observations(inputs), _goals(inputs)
         if self._actor is None:
             half = max(1, self.policy.config.chunk // 2)
             self._actor = PolicyActor(self.policy, self.config.n_action_steps or half, self.config.guidance)
             self._actor.reset(goals, [self.config.seed + row for row in range(len(goals))])
-        decisions = self._actor.act(seen, [True] * len(seen))
+        decisions = self._actor.act(observations, [True] * len(observations))
         return torch.from_numpy(np.stack([decision.action for decision in decisions])).to(self.policy.device)
 
-    def _judged(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+    def _evaluate(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         return self.policy.loss(batch, torch.Generator().manual_seed(self.config.seed))
 
     def _inputs(self, batch: Mapping[str, Tensor]) -> Inputs:
         """LeRobot's names and shapes to ours; images from (..., 3, h, w) in [0, 1] to (..., h, w, 3) uint8."""
         encoder, spec = self.policy.config.encoder, self.policy.spec
         state = _over_time(batch[STATE].float(), 1)  # (B, T, S)
-        told = len(spec.achieved_names)
-        nothing = state.new_zeros((*state.shape[:2], 2 * told))
+        num_achieved = len(spec.achieved_names)
+        nothing = state.new_zeros((*state.shape[:2], 2 * num_achieved))
         both = _over_time(batch[ACHIEVED].float(), 1) if ACHIEVED in batch else nothing
-        goal = _over_time(batch[GOAL].float(), 1)[:, -1] if GOAL in batch else both[:, -1, told:]
+        goal = _over_time(batch[GOAL].float(), 1)[:, -1] if GOAL in batch else both[:, -1, num_achieved:]
         padded = batch.get(f"{STATE}_is_pad")
         return Inputs(
             state=state,
-            achieved=both[..., :told],
+            achieved=both[..., :num_achieved],
             history_mask=torch.ones(state.shape[:2], dtype=torch.bool) if padded is None else ~padded,
             goal_achieved=goal,
             goal_proprio=state[:, -1],
-            images={c: _over_time(_bytes(batch[IMAGES + c]), 3) for c in encoder.observation_cameras},
-            goal_images={c: _over_time(_bytes(batch[GOAL_IMAGES + c]), 3)[:, -1] for c in encoder.goal_cameras},
+            images={c: _over_time(_to_uint8(batch[IMAGES + c]), 3) for c in encoder.observation_cameras},
+            goal_images={c: _over_time(_to_uint8(batch[GOAL_IMAGES + c]), 3)[:, -1] for c in encoder.goal_cameras},
         )
 
 
@@ -119,27 +119,27 @@ def _fresh(config: PlaylearnConfig, stats: Mapping[str, Any] | None, meta: Any) 
         raise UsageError("a fresh policy is made for a dataset: train it with lerobot-train, or give --policy.path")
     config.validate_features()
     names = {key: tuple(feature.get("names") or ()) for key, feature in meta.features.items()}
-    told = len(names.get(GOAL, ())) if ACHIEVED in names else 0
+    num_achieved = len(names.get(GOAL, ())) if ACHIEVED in names else 0
     sizes = {
         key.removeprefix(IMAGES): meta.features[key]["shape"] for key in meta.camera_keys if key.startswith(IMAGES)
     }
     action = {name: np.asarray(stats["action"][name], np.float64) for name in ("min", "max")}
     spec = PolicySpec(
         state_names=names[STATE],
-        achieved_names=names.get(ACHIEVED, ())[:told],
+        achieved_names=names.get(ACHIEVED, ())[:num_achieved],
         action_names=names["action"],
         fps=float(meta.fps),
         cameras={name: (int(h), int(w)) for name, (h, w, _) in sizes.items() if not name.startswith("goal_")},
         bounded=bool(action["min"].min() >= -1 and action["max"].max() <= 1),
     )
-    widths = {"state": (STATE, len(spec.state_names)), "achieved": (ACHIEVED, told), "action": ("action", None)}
-    spread = {
+    widths = {"state": (STATE, len(spec.state_names)), "achieved": (ACHIEVED, num_achieved), "action": ("action", None)}
+    statistics = {
         part: Statistics(*(np.asarray(stats[key][name], np.float32)[:width] for name in ("mean", "std")))
         for part, (key, width) in widths.items()
         if key in stats
     }
-    spread.setdefault("achieved", Statistics(np.zeros(0, np.float32), np.ones(0, np.float32)))
-    policy = config.policy().build(spec, spread, config.seed)
+    statistics.setdefault("achieved", Statistics(np.zeros(0, np.float32), np.ones(0, np.float32)))
+    policy = config.policy().build(spec, statistics, config.seed)
     policy.fit_action_statistics(torch.from_numpy(_labels(meta)))
     return policy
 
@@ -151,17 +151,17 @@ def _labels(meta: Any) -> Array:
 
 
 def _over_time(value: Tensor, dims: int) -> Tensor:
-    """(B, T, ...) of one with or without a history; dims: of what is seen at one moment."""
+    """(B, T, ...) from a value with or without a time axis; dims: of one moment."""
     return value if value.ndim == 2 + dims else value.unsqueeze(1)
 
 
-def _bytes(images: Tensor) -> Tensor:
-    whole = images if images.dtype == torch.uint8 else (images * 255).round().clamp(0, 255).to(torch.uint8)
-    return whole.movedim(-3, -1)
+def _to_uint8(images: Tensor) -> Tensor:
+    values = images if images.dtype == torch.uint8 else (images * 255).round().clamp(0, 255).to(torch.uint8)
+    return values.movedim(-3, -1)
 
 
 def _observations(inputs: Inputs) -> list[Observation]:
-    """What each row sees now."""
+    """The latest observation of each row."""
     state, achieved = (value[:, -1].cpu().numpy() for value in (inputs.state, inputs.achieved))
     images = {camera: value[:, -1].cpu().numpy() for camera, value in inputs.images.items()}
     return [

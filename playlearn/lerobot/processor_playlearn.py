@@ -1,4 +1,4 @@
-"""What stands between LeRobot's batches and our policy: batch dimension and device, nothing else."""
+"""The processors between LeRobot's batches and our policy: batch dimension and device only."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""A trained policy as the Hub expects one: config.json, model.safetensors, processors and a card."""
+"""Export a trained policy in the Hub's format: config.json, model.safetensors, processors and a card."""
 
 import json
 import shutil
@@ -12,18 +12,20 @@ from playlearn.report.template import template
 
 
 def export_policy(run: Path, out: Path) -> None:
-    """Write the policy of a run to `out`, built beside it and loaded back before it is put there.
+    """Write the policy of a run to `out`: built beside it, loaded back, then moved there.
 
     Raises:
-        CheckpointError: there is no policy at `run`. UsageError: `out` is taken. StoreError: it cannot be written.
+        CheckpointError: there is no policy at `run`.
+        UsageError: `out` is taken.
+        StoreError: it cannot be written.
     """
-    # Seconds to import: only who asks it pays.
+    # Slow to import.
     from playlearn.lerobot.configuration_playlearn import PlaylearnConfig, features
     from playlearn.lerobot.modeling_playlearn import PlaylearnPolicy
     from playlearn.lerobot.processor_playlearn import make_playlearn_pre_post_processors
 
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise UsageError(f"{out} is there already: name another folder")
+        raise UsageError(f"{out} already exists: name another folder")
     policy = Policy.load(run / "policy")
     if policy.spec.predicts != "actions":
         raise UsageError(f"{run} proposes subgoals and does not act: LeRobot has no place for it")
@@ -37,20 +39,20 @@ def export_policy(run: Path, out: Path) -> None:
         push_to_hub=False,
         license="apache-2.0",
     )
-    made = PlaylearnPolicy(config)
-    made.policy.load_state_dict(policy.state_dict())
+    exported = PlaylearnPolicy(config)
+    exported.policy.load_state_dict(policy.state_dict())
     building = out.with_name(f".{out.name}.building")
     shutil.rmtree(building, ignore_errors=True)
     try:
         building.mkdir(parents=True)
-        made.save_pretrained(building)
+        exported.save_pretrained(building)
         for pipeline in make_playlearn_pre_post_processors(config):
             pipeline.save_pretrained(building)
         card = template("policy_card.md.j2").render(title=out.name, spec=policy.spec, config=policy.config)
         (building / "README.md").write_text(card, encoding="utf-8")
         back = PlaylearnPolicy.from_pretrained(building, strict=True)
-        mine, its = policy.state_dict(), back.policy.state_dict()
-        if any(not bool((mine[name] == its[name]).all()) for name in mine):
+        written, read = policy.state_dict(), back.policy.state_dict()
+        if any(not bool((written[name] == read[name]).all()) for name in written):
             raise StoreError("other weights were read back than were written: please report this as a bug")
         building.replace(out)
     except OSError as error:

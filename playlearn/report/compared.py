@@ -1,4 +1,4 @@
-"""What a comparison came to: a table to read and a plot to look at."""
+"""Table and plot of a comparison."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,9 +10,9 @@ BLUE, GRAY, AMBER = "#2a6f97", "#9aa5b1", "#edae49"
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Markdown, the best first; success with its 95 % interval, over all seeds."""
+    """Markdown, the best first; success rate with 95 % interval, over all seeds."""
     lines = [
-        "| variant | reached | 95 % | seeds | parameters | core seconds of training | one chunk, ms (p50, p95) |",
+        "| variant | success rate | 95 % | seeds | parameters | core seconds of training | one chunk, ms (p50, p95) |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for row in sorted(rows, key=lambda row: -row["success_rate"]):
@@ -28,27 +28,27 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def _known(seconds: float | None) -> str:
-    """Of a training that was interrupted they are not."""
+    """Unknown for an interrupted training."""
     return "not known" if seconds is None else f"{seconds:.0f}"
 
 
 def plot(rows: Sequence[Row], path: Path) -> None:
-    """Success with intervals, a dot a seed; beside it what a variant costs to train and to ask. Writes a PNG."""
+    """Success rate with intervals, a dot a seed; beside it the cost of training and of inference. Writes a PNG."""
     from matplotlib.figure import Figure
 
     ordered = sorted(rows, key=lambda row: row["success_rate"])
     places = range(len(ordered))
     figure = Figure(figsize=(9.5, 1.2 + 0.34 * len(ordered)), layout="constrained")
-    reached, training, latency = figure.subplots(1, 3, sharey=True, width_ratios=(2.2, 1, 1))
+    success, training, latency = figure.subplots(1, 3, sharey=True, width_ratios=(2.2, 1, 1))
     rates = [100 * row["success_rate"] for row in ordered]
     below = [rate - 100 * row["ci95"][0] for rate, row in zip(rates, ordered, strict=True)]
     above = [100 * row["ci95"][1] - rate for rate, row in zip(rates, ordered, strict=True)]
-    reached.barh(places, rates, color=BLUE, height=0.62)
-    reached.errorbar(rates, places, xerr=(below, above), fmt="none", ecolor="black", elinewidth=1, capsize=2)
+    success.barh(places, rates, color=BLUE, height=0.62)
+    success.errorbar(rates, places, xerr=(below, above), fmt="none", ecolor="black", elinewidth=1, capsize=2)
     for place, row in enumerate(ordered):
-        reached.plot([100 * rate for rate in row["by_seed"]], [place] * len(row["by_seed"]), ".", color=AMBER, ms=5)
-    reached.set(xlim=(0, 100), xlabel="goals reached, % (95 % interval; a dot a seed)")
-    reached.set_yticks(list(places), [row["variant"] for row in ordered])
+        success.plot([100 * rate for rate in row["by_seed"]], [place] * len(row["by_seed"]), ".", color=AMBER, ms=5)
+    success.set(xlim=(0, 100), xlabel="success rate, % (95 % interval; a dot a seed)")
+    success.set_yticks(list(places), [row["variant"] for row in ordered])
     training.barh(places, [(row["train_core_seconds"] or 0) / 60 for row in ordered], color=GRAY, height=0.62)
     training.set(xlabel="training, core minutes")
     latency.barh(places, [row["latency_ms"]["p50"] for row in ordered], color=GRAY, height=0.62)
@@ -57,6 +57,6 @@ def plot(rows: Sequence[Row], path: Path) -> None:
     latency.set_xticks([1, 3, 10, 30, 100], ["1", "3", "10", "30", "100"])
     latency.minorticks_off()
     latency.axvline(PERIOD, color=AMBER, lw=1)
-    for axes in (reached, training, latency):
+    for axes in (success, training, latency):
         axes.spines[["top", "right"]].set_visible(False)
     figure.savefig(path, dpi=130)

@@ -16,27 +16,33 @@ GAP = 3
 
 
 def diagnosis_page(
-    results: Mapping[str, Any], words: Mapping[str, str], strips: Mapping[str, Sequence[tuple[str, bytes]]], note: str
+    results: Mapping[str, Any],
+    descriptions: Mapping[str, str],
+    strips: Mapping[str, Sequence[tuple[str, bytes]]],
+    note: str,
 ) -> str:
-    """The page as HTML. words: what each cause means. strips: cause -> captions and pictures; note: why there are none.
+    """The page as HTML.
 
-    results: what diagnosis.json says.
+    results: the content of diagnosis.json.
+    descriptions: failure mode -> what it means.
+    strips: failure mode -> captions and pictures.
+    note: why there are no pictures.
     """
-    return template("diagnosis.html.j2").render(results=results, words=words, strips=strips, note=note)
+    return template("diagnosis.html.j2").render(results=results, descriptions=descriptions, strips=strips, note=note)
 
 
-def strip(environment: Environment, states: Array, goal_sim_state: Array, camera: str) -> bytes:
-    """An attempt with simulator states (T+1, N): evenly spaced frames, the first and last among them, then the goal.
+def strip(environment: Environment, sim_states: Array, goal_sim_state: Array, camera: str) -> bytes:
+    """Film strip of an episode with simulator states (T+1, N): evenly spaced frames, first and last included; the goal.
 
     Raises:
         RenderError: there is no headless GL.
     """
-    moments = np.linspace(0, len(states) - 1, min(FRAMES, len(states))).round().astype(int)
+    moments = np.linspace(0, len(sim_states) - 1, min(FRAMES, len(sim_states))).round().astype(int)
     own = environment.render(camera).shape
     parts: list[Array] = []
-    for state in [*states[moments], goal_sim_state]:
+    for state in [*sim_states[moments], goal_sim_state]:
         environment.set_state(np.array(state))
         frame = environment.render(camera, HEIGHT, round(HEIGHT * own[1] / own[0]))
         parts += [frame, np.full((HEIGHT, GAP, 3), 255, np.uint8)]
-    parts.insert(-2, np.full((HEIGHT, 4 * GAP, 3), 255, np.uint8))  # the goal stands apart
+    parts.insert(-2, np.full((HEIGHT, 4 * GAP, 3), 255, np.uint8))  # a gap before the goal
     return encode_still(np.concatenate(parts[:-1], axis=1))

@@ -1,4 +1,4 @@
-"""How far a counted share can be trusted."""
+"""Confidence intervals of success rates."""
 
 import math
 
@@ -6,9 +6,9 @@ Z95 = 1.959963984540054
 
 
 def wilson(successes: float, trials: int, z: float = Z95) -> tuple[float, float]:
-    """The score interval of a share (Wilson 1927); unlike the textbook one it is right near 0 and 1.
+    """The score interval of a fraction (Wilson 1927); unlike the normal approximation it is valid near 0 and 1.
 
-    Without trials nothing is known: (0, 1).
+    Without trials it is (0, 1).
 
     Raises:
         ValueError: not 0 <= successes <= trials.
@@ -17,11 +17,11 @@ def wilson(successes: float, trials: int, z: float = Z95) -> tuple[float, float]
         raise ValueError(f"{successes} successes in {trials} trials")
     if trials == 0:
         return 0.0, 1.0
-    share, z2 = successes / trials, z * z
+    fraction, z2 = successes / trials, z * z
     scale = 1 + z2 / trials
-    middle = (share + z2 / (2 * trials)) / scale
-    half = z / scale * math.sqrt(share * (1 - share) / trials + z2 / (4 * trials * trials))
-    # At the ends the bound is exact; rounding must not push it past them.
+    middle = (fraction + z2 / (2 * trials)) / scale
+    half = z / scale * math.sqrt(fraction * (1 - fraction) / trials + z2 / (4 * trials * trials))
+    # At the ends the bound is exact; rounding must not exceed it.
     low = 0.0 if successes == 0 else middle - half
     high = 1.0 if successes == trials else middle + half
     return low, high

@@ -1,22 +1,27 @@
-"""What came of a training run, in numbers for a program and in words for a person."""
+"""Outcome of a training run, as numbers for a program and as text for a person."""
 
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Self
 
-from playlearn.report.progress import spoken
+from playlearn.report.progress import format_seconds
 
 LOSS = "val/loss"
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """heldout_loss_*: of the averaged weights on held-out play, None where none was held out.
+    """Updates, time and validation loss of a training run; losses are of the averaged weights, None without validation.
 
-    first: before the first update (of an older run that lacks it: the first that was measured, at update `first_at`).
-    least: the lowest, at update `least_at`. steps: updates that were made, of_steps: that the config asks for.
+    steps: updates that were made.
+    of_steps: updates that the config asks for.
     seconds: that the updates took.
+    val_loss_first: before the first update, or the first one that was measured.
+    first_at: its update.
+    val_loss_last: after the last update.
+    val_loss_least: the lowest.
+    least_at: its update.
     """
 
     steps: int
@@ -39,41 +44,42 @@ class Outcome:
         return cls(steps, of_steps, made, seen[0][1], seen[0][0], seen[-1][1], least, least_at)
 
     def numbers(self) -> dict[str, float | None]:
-        """For run.json. What is no number (a loss that left all bounds) is null there."""
-        return {name: None if _strange(value) else value for name, value in asdict(self).items()}
+        """For run.json; a loss that is not finite is null there."""
+        return {name: None if _not_finite(value) else value for name, value in asdict(self).items()}
 
     def summary(self) -> list[str]:
-        """How far it came, and where the held-out loss began and ended."""
-        said = []
+        """How far the training came, and the first, last and lowest validation loss."""
+        lines = []
         if self.steps < self.of_steps:
-            said.append(
-                f"the minutes were over after {self.steps} of {self.of_steps} updates ({spoken(self.seconds)}): "
-                "the result will be worse than what the config is made for; raise max_minutes, or leave it out"
+            lines.append(
+                f"the time limit was reached after {self.steps} of {self.of_steps} updates "
+                f"({format_seconds(self.seconds)}): the result will be worse than after all of them; "
+                "raise max_minutes, or leave it out"
             )
         if self.val_loss_first is not None:
             began = "before the first update" if self.first_at == 0 else f"at update {self.first_at}"
-            said.append(
+            lines.append(
                 f"held-out loss: {self.val_loss_first:.4g} {began}, {self.val_loss_last:.4g} after "
                 f"{self.steps} updates; the least was {self.val_loss_least:.4g} {_at(self.least_at)}"
             )
             if self._risen():
-                said.append("too many updates for so little play, or a learning rate that is too high")
-        return said
+                lines.append("too many updates for so little play, or a learning rate that is too high")
+        return lines
 
     def _risen(self) -> bool:
-        """Whether the held-out loss came down and is up again: of a likelihood, that need not mean a bad policy."""
+        """Whether the validation loss fell and rose again; with a likelihood that need not mean a bad policy."""
         first, last, least = self.val_loss_first, self.val_loss_last, self.val_loss_least
         if first is None or last is None or least is None or self.first_at != 0:
             return False
         return least < first <= last < math.inf
 
     def complaint(self) -> str | None:
-        """Why it may be that nothing was learned; None where the held-out loss fell, or it is not known from where."""
+        """Why nothing may have been learned; None if the validation loss fell, or its start is not known."""
         first, last, least = self.val_loss_first, self.val_loss_last, self.val_loss_least
         if first is None or last is None or least is None or self.first_at != 0 or last < first or self._risen():
             return None
         if not math.isfinite(last):
-            why = "the learning rate is too high, or the play holds numbers that are none"
+            why = "the learning rate is too high, or the play has values that are not finite"
         else:
             why = "too few updates, a learning rate that is too low or too high, or play that shows nothing to learn"
         return (
@@ -86,5 +92,5 @@ def _at(step: int | None) -> str:
     return "before the first update" if step == 0 else f"at update {step}"
 
 
-def _strange(value: float | None) -> bool:
+def _not_finite(value: float | None) -> bool:
     return value is not None and not math.isfinite(value)

@@ -13,7 +13,7 @@ LEFT, RIGHT, TOP, BOTTOM = 44, 12, 12, 36
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """One attempt with its pictures."""
+    """One episode with its pictures."""
 
     episode: int
     task: str
@@ -28,8 +28,11 @@ def page(
 ) -> str:
     """The page as HTML.
 
-    results: what results.json says. curves: policy -> share of episodes reached by step 0, 1, ...;
-    the judged policy first. note: said where there are no pictures.
+    results: the content of results.json.
+    curves: policy -> success rate by step 0, 1, ...; the evaluated policy first.
+    fps: control steps a second.
+    shown: episodes with pictures.
+    note: why there are no pictures.
     """
     rows = {results["policy"]["name"]: results, **results["references"]}
     return template("page.html.j2").render(
@@ -46,7 +49,12 @@ def page(
 
 @dataclass(frozen=True)
 class _Plot:
-    """A plot in SVG units. lines: (policy, polyline points, its end's y). ticks: (position, label)."""
+    """A plot in SVG units.
+
+    width, height, left, right, top, bottom: of the plot and its axes.
+    lines: (policy, polyline points, y of its end).
+    x_ticks, y_ticks: (position, label).
+    """
 
     width: int
     height: int
@@ -60,15 +68,15 @@ class _Plot:
 
 
 def _plot(curves: Mapping[str, Sequence[float]], fps: float) -> _Plot:
-    """Share of the episodes reached against seconds."""
+    """Success rate against seconds."""
     steps = max(1, max(len(curve) for curve in curves.values()) - 1)
     right, bottom = WIDTH - RIGHT, HEIGHT - BOTTOM
 
     def x(step: float) -> float:
         return LEFT + (right - LEFT) * step / steps
 
-    def y(share: float) -> float:
-        return bottom - (bottom - TOP) * share
+    def y(fraction: float) -> float:
+        return bottom - (bottom - TOP) * fraction
 
     seconds = steps / fps
     gap = next((gap for gap in (0.5, 1, 2, 5, 10, 20, 60) if seconds / gap <= 8), 120)
@@ -80,9 +88,9 @@ def _plot(curves: Mapping[str, Sequence[float]], fps: float) -> _Plot:
         top=TOP,
         bottom=bottom,
         lines=[
-            (name, " ".join(f"{x(t):.1f},{y(share):.1f}" for t, share in enumerate(curve)), y(curve[-1]))
+            (name, " ".join(f"{x(t):.1f},{y(rate):.1f}" for t, rate in enumerate(curve)), y(curve[-1]))
             for name, curve in curves.items()
         ],
         x_ticks=[(x(k * gap * fps), f"{k * gap:g}") for k in range(int(seconds / gap + 1e-9) + 1)],
-        y_ticks=[(y(share), f"{100 * share:.0f}") for share in (0, 0.25, 0.5, 0.75, 1)],
+        y_ticks=[(y(rate), f"{100 * rate:.0f}") for rate in (0, 0.25, 0.5, 0.75, 1)],
     )

@@ -1,4 +1,4 @@
-"""Stills and short films of an attempt, drawn from its simulator states."""
+"""Stills and short films of an episode, rendered from its simulator states."""
 
 import io
 import math
@@ -17,7 +17,11 @@ LAST_FRAME_SECONDS = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Pictures:
-    """WebP files. film: the attempt at its own speed with the goal beside it."""
+    """WebP files of one episode.
+
+    start, goal, final: stills.
+    film: the episode at its own speed, with the goal beside it.
+    """
 
     start: bytes
     goal: bytes
@@ -26,29 +30,29 @@ class Pictures:
 
 
 def draw(
-    environment: Environment, states: Array, goal_sim_state: Array, camera: str, height: int, *, film: bool
+    environment: Environment, sim_states: Array, goal_sim_state: Array, camera: str, height: int, *, film: bool
 ) -> Pictures:
-    """Pictures of an attempt with simulator states (T+1, N) towards goal_state (N,).
+    """Pictures of an episode with simulator states (T+1, N) towards goal_sim_state (N,).
 
-    They are `height` pixels high and show exactly what the camera shows: its own shape is kept.
+    They are `height` pixels high and keep the camera's aspect ratio.
 
     Raises:
         RenderError: there is no headless GL.
     """
     own = environment.render(camera).shape
     size = height, round(height * own[1] / own[0])
-    goal = _look(environment, goal_sim_state, camera, size)
+    goal = _render(environment, goal_sim_state, camera, size)
     frames = None
     if film:
-        # At most FILM_FRAMES of them, the first and the last always.
-        stride = max(1, math.ceil(len(states) / FILM_FRAMES))
-        moments = [*range(0, len(states) - 1, stride), len(states) - 1]
-        looks = [_look(environment, states[t], camera, size) for t in moments]
-        frames = encode_film([beside(look, goal) for look in looks], stride / environment.spec.fps)
+        # At most FILM_FRAMES, always with the first and the last.
+        stride = max(1, math.ceil(len(sim_states) / FILM_FRAMES))
+        moments = [*range(0, len(sim_states) - 1, stride), len(sim_states) - 1]
+        views = [_render(environment, sim_states[t], camera, size) for t in moments]
+        frames = encode_film([beside(view, goal) for view in views], stride / environment.spec.fps)
     return Pictures(
-        start=encode_still(_look(environment, states[0], camera, size)),
+        start=encode_still(_render(environment, sim_states[0], camera, size)),
         goal=encode_still(goal),
-        final=encode_still(_look(environment, states[-1], camera, size)),
+        final=encode_still(_render(environment, sim_states[-1], camera, size)),
         film=frames,
     )
 
@@ -66,7 +70,7 @@ def encode_still(image: Array) -> bytes:
 
 
 def encode_film(frames: Sequence[Array], seconds: float) -> bytes:
-    """Frames (h, w, 3) uint8, each shown so many seconds, as WebP that plays again and again."""
+    """Frames (h, w, 3) uint8, each shown for `seconds`, as a looping WebP."""
     buffer = io.BytesIO()
     pages = [Image.fromarray(frame) for frame in frames]
     shown = [round(1000 * seconds)] * (len(pages) - 1) + [round(1000 * LAST_FRAME_SECONDS)]
@@ -74,6 +78,6 @@ def encode_film(frames: Sequence[Array], seconds: float) -> bytes:
     return buffer.getvalue()
 
 
-def _look(environment: Environment, state: Array, camera: str, size: tuple[int, int]) -> Array:
+def _render(environment: Environment, state: Array, camera: str, size: tuple[int, int]) -> Array:
     environment.set_state(np.array(state))
     return environment.render(camera, *size)

@@ -1,7 +1,7 @@
-"""What is in a store of play, as numbers: where things were, what changed, what went wrong and was mended.
+"""Statistics of a store of play: where objects were, what changed, mistakes and recoveries.
 
-Nothing here knows a world: objects and fixtures are the groups of `achieved_names` (`red.x`, `drawer.opening`), the
-hand is the first group of `state_names` that has an x and a y, changes are the settled moments of relabeling.
+They hold for any environment: objects and fixtures are the groups of `achieved_names` (`red.x`, `drawer.opening`), the
+end effector is the first group of `state_names` with x, y and z, changes are the settled moments of relabeling.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ from playlearn.store import Store
 
 CELLS = 28  # of a heat map along its longer side
 BINS = 25
-STILL = 0.01  # meters a second below which a hand, and its fingers, stand still
+STILL = 0.01  # meters a second below which end effector and fingers are idle
 EMPTY = 0.004  # meters between fingers that hold nothing
 GAVE_UP, AGAIN, MISSED = "gave_up", "again", "missed_grasp"
 MISHAPS = ("mistake", "slip", MISSED)
@@ -29,8 +29,11 @@ MISHAPS = ("mistake", "slip", MISSED)
 class SkillAttempt:
     """One skill from its first step to its last: steps [begin, end) of an episode.
 
-    marks: what was said of any of its steps, and `missed_grasp` where the fingers closed on nothing and opened
-    again. cut: the episode ended in it, so that its outcome is not known.
+    episode: position in the store.
+    begin, end: steps.
+    skill: its name.
+    marks: annotations of any of its steps, and `missed_grasp` if the fingers closed on nothing and opened again.
+    truncated: the episode ended during it, so its outcome is unknown.
     """
 
     episode: int
@@ -38,7 +41,7 @@ class SkillAttempt:
     end: int
     skill: str
     marks: frozenset[str]
-    cut: bool
+    truncated: bool
 
     @property
     def failed(self) -> bool:
@@ -46,25 +49,25 @@ class SkillAttempt:
 
 
 def attempts(store: Store) -> list[SkillAttempt]:
-    """Every attempt of a store. The same skill twice running counts twice where the player said so."""
+    """Every attempt of a store. The same skill twice in a row counts twice if its annotation says so."""
     found = []
     for i in range(len(store)):
-        said = [read_annotation(text) for text in store.meta(i).skills] or [("", ())]
+        annotations = [read_annotation(text) for text in store.meta(i).skills] or [("", ())]
         numbers = store.array(i, "skill")
-        own = np.array([[name for name, _ in said].index(name) for name, _ in said])[numbers]
-        gave_up, again = (np.array([mark in marks for _, marks in said])[numbers] for mark in (GAVE_UP, AGAIN))
+        own = np.array([[name for name, _ in annotations].index(name) for name, _ in annotations])[numbers]
+        gave_up, again = (np.array([mark in marks for _, marks in annotations])[numbers] for mark in (GAVE_UP, AGAIN))
         fresh = np.flatnonzero((own[1:] != own[:-1]) | gave_up[:-1] | again[1:]) + 1
         for begin, end in zip([0, *fresh.tolist()], [*fresh.tolist(), len(own)], strict=True):
-            marks = {mark for number in np.unique(numbers[begin:end]) for mark in said[number][1]} - {AGAIN}
+            marks = {mark for number in np.unique(numbers[begin:end]) for mark in annotations[number][1]} - {AGAIN}
             if _missed(store, i, begin, end):
                 marks.add(MISSED)
-            cut = end == len(own) and GAVE_UP not in marks
-            found.append(SkillAttempt(i, begin, end, said[numbers[begin]][0], frozenset(marks), cut))
+            truncated = end == len(own) and GAVE_UP not in marks
+            found.append(SkillAttempt(i, begin, end, annotations[numbers[begin]][0], frozenset(marks), truncated))
     return found
 
 
 def figures(store: Store, settling: SettlingConfig | None = None) -> dict[str, Any]:
-    """Everything the report says, as JSON.
+    """All statistics of the report, as JSON.
 
     Raises:
         UsageError: the store is empty.
@@ -72,25 +75,25 @@ def figures(store: Store, settling: SettlingConfig | None = None) -> dict[str, A
     if not len(store):
         raise UsageError(f"{store.name()} has no episodes yet: there is nothing to report")
     spec = store.spec
-    table = RelabelIndex.of_store(store, settling or SettlingConfig())
-    tried = attempts(store)
+    index = RelabelIndex.of_store(store, settling or SettlingConfig())
+    found = attempts(store)
     return {
         "store": store.info(),
-        "lengths": _spread(store.lengths() / spec.fps),
-        "places": _places(store),
+        "lengths": _quantiles(store.lengths() / spec.fps),
+        "heat_maps": _heat_maps(store),
         "values": _values(store),
-        "settled": _settled(table),
-        "changes": _changes(table),
-        "hand": _hand(store),
-        "steps": _step_shares(store),
-        "skills": _skills(tried, spec.fps),
-        "mishaps": {mark: _mended([one for one in tried if mark in one.marks]) for mark in MISHAPS},
-        "attempts": _mended(tried),
+        "settled": _settled(index),
+        "changes": _changes(index),
+        "end_effector": _end_effector(store),
+        "steps": _step_fractions(store),
+        "skills": _skills(found, spec.fps),
+        "mishaps": {mark: _outcomes([attempt for attempt in found if mark in attempt.marks]) for mark in MISHAPS},
+        "attempts": _outcomes(found),
         "actions": _actions(store),
     }
 
 
-def hand_names(names: Sequence[str]) -> tuple[str, str, str] | None:
+def position_names(names: Sequence[str]) -> tuple[str, str, str] | None:
     """The x, y and z of the first group that has all three."""
     for x, y, z in ObjectLayout(names).places().values():
         return names[x], names[y], names[z]
@@ -98,7 +101,7 @@ def hand_names(names: Sequence[str]) -> tuple[str, str, str] | None:
 
 
 def _missed(store: Store, i: int, begin: int, end: int) -> bool:
-    """Whether fingers closed on nothing and opened again."""
+    """Whether the fingers closed on nothing and opened again."""
     actions = [k for k, name in enumerate(store.spec.action_names) if name.startswith("grip")]
     widths = [k for k, name in enumerate(store.spec.state_names) if name.endswith("opening")]
     if not actions or not widths:
@@ -108,80 +111,85 @@ def _missed(store: Store, i: int, begin: int, end: int) -> bool:
     return bool((closed[:-1] & ~closed[1:] & empty[:-1]).any())
 
 
-def _mended(tried: Sequence[SkillAttempt]) -> dict[str, Any]:
-    """How many attempts, in how many of them the outcome came nevertheless, and in how many it did not."""
-    known = [one for one in tried if not one.cut]
-    failed = sum(one.failed for one in known)
-    return {"count": len(tried), "reached": len(known) - failed, "failed": failed, "cut": len(tried) - len(known)}
+def _outcomes(skill_attempts: Sequence[SkillAttempt]) -> dict[str, Any]:
+    """How many attempts, and how many of them succeeded, failed, or were truncated."""
+    known = [attempt for attempt in skill_attempts if not attempt.truncated]
+    failed = sum(attempt.failed for attempt in known)
+    return {
+        "count": len(skill_attempts),
+        "succeeded": len(known) - failed,
+        "failed": failed,
+        "truncated": len(skill_attempts) - len(known),
+    }
 
 
-def _places(store: Store) -> dict[str, Any]:
-    """Heat maps, all over the same ground: counts[row][column] with y upwards and x to the right."""
-    names, hand = store.spec.achieved_names, hand_names(store.spec.state_names)
+def _heat_maps(store: Store) -> dict[str, Any]:
+    """Heat maps on a common grid: counts[row][column] with y upwards and x to the right."""
+    names, effector = store.spec.achieved_names, position_names(store.spec.state_names)
     groups = ObjectLayout(names).having(("x", "y"))
-    tracks = {group: _columns(store, "achieved", names, (f"{group}.x", f"{group}.y")) for group in groups}
-    if hand is not None:
-        tracks["hand"] = _columns(store, "observation.state", store.spec.state_names, hand[:2])
-    if not tracks:
+    positions = {group: _columns(store, "achieved", names, (f"{group}.x", f"{group}.y")) for group in groups}
+    if effector is not None:
+        positions["end effector"] = _columns(store, "observation.state", store.spec.state_names, effector[:2])
+    if not positions:
         return {}
-    low, high = np.percentile(np.concatenate(list(tracks.values())), [0.1, 99.9], axis=0)
+    low, high = np.percentile(np.concatenate(list(positions.values())), [0.1, 99.9], axis=0)
     cell = max(float((high - low).max()) / CELLS, 1e-6)
     shape = np.maximum(np.ceil((high - low) / cell - 1e-9).astype(int), 1)
     edges = [low[k] + cell * np.arange(shape[k] + 1) for k in range(2)]
-    maps = {name: np.histogram2d(track[:, 0], track[:, 1], edges)[0] for name, track in tracks.items()}
-    ground = sum(maps.values()) > 0
+    maps = {name: np.histogram2d(track[:, 0], track[:, 1], edges)[0] for name, track in positions.items()}
+    visited = sum(maps.values()) > 0
     return {
         "x": [float(edges[0][0]), float(edges[0][-1])],
         "y": [float(edges[1][0]), float(edges[1][-1])],
         "cell": cell,
         "maps": {
-            name: {"counts": counts.T[::-1].astype(int).tolist(), "covers": float((counts > 0).sum() / ground.sum())}
+            name: {"counts": counts.T[::-1].astype(int).tolist(), "coverage": float((counts > 0).sum() / visited.sum())}
             for name, counts in maps.items()
         },
     }
 
 
 def _values(store: Store) -> dict[str, Any]:
-    """Histograms of what has no place: an opening, a lamp."""
+    """Histograms of dimensions without a position: an opening, a lamp."""
     names = store.spec.achieved_names
-    placed = {f"{name[:-2]}." for name in names if name.endswith(".x")}
-    single = [name for name in names if not any(name.startswith(group) for group in placed)]
+    positioned = {f"{name[:-2]}." for name in names if name.endswith(".x")}
+    single = [name for name in names if not any(name.startswith(group) for group in positioned)]
     return {name: _histogram(_columns(store, "achieved", names, (name,))[:, 0]) for name in single}
 
 
-def _settled(table: RelabelIndex) -> dict[str, Any]:
-    gaps = np.concatenate([_gaps(table, table.settled(i)[0]) for i in range(len(table.lengths))])
+def _settled(index: RelabelIndex) -> dict[str, Any]:
+    gaps = np.concatenate([_gaps(index, index.settled(i)[0]) for i in range(len(index.lengths))])
     return {
-        "moments": len(table.moments),
-        "per_minute": 60 * len(table.moments) / float(table.lengths.sum() / table.fps),
-        "seconds_between": _spread(gaps),
+        "moments": len(index.moments),
+        "per_minute": 60 * len(index.moments) / float(index.lengths.sum() / index.fps),
+        "seconds_between": _quantiles(gaps),
         "histogram": _histogram(gaps),
     }
 
 
-def _changes(table: RelabelIndex) -> dict[str, Any]:
-    """Of each object and fixture: how often it changed and came to rest, and how long lay between."""
-    minutes = float(table.lengths.sum() / table.fps) / 60
-    changed, changes = table.changed_groups(), {}
-    for column, (group, count) in enumerate(table.change_counts().items()):
+def _changes(index: RelabelIndex) -> dict[str, Any]:
+    """For each object and fixture: how often it changed and settled, and the time in between."""
+    minutes = float(index.lengths.sum() / index.fps) / 60
+    changed, changes = index.changed_groups(), {}
+    for column, (group, count) in enumerate(index.change_counts().items()):
         own = [
-            table.moments[span][changed[span, column]]
-            for span in map(slice, table.offsets[:-1].tolist(), table.offsets[1:].tolist())
+            index.moments[span][changed[span, column]]
+            for span in map(slice, index.offsets[:-1].tolist(), index.offsets[1:].tolist())
         ]
-        gaps = np.concatenate([_gaps(table, moments)[1:] for moments in own])
-        changes[group] = {"count": count, "per_minute": count / minutes, "seconds_between": _spread(gaps)}
+        gaps = np.concatenate([_gaps(index, moments)[1:] for moments in own])
+        changes[group] = {"count": count, "per_minute": count / minutes, "seconds_between": _quantiles(gaps)}
     return changes
 
 
-def _gaps(table: RelabelIndex, moments: Array) -> Array:
+def _gaps(index: RelabelIndex, moments: Array) -> Array:
     """Seconds from the beginning to the first moment, then from each to the next."""
-    return np.diff(moments, prepend=0) / table.fps
+    return np.diff(moments, prepend=0) / index.fps
 
 
-def _hand(store: Store) -> dict[str, Any]:
-    """Speed in m/s, and the share of steps in which hand and fingers stood still."""
+def _end_effector(store: Store) -> dict[str, Any]:
+    """Speed in m/s, and the fraction of steps in which end effector and fingers were idle."""
     names, fps = store.spec.state_names, store.spec.fps
-    place = hand_names(names)
+    place = position_names(names)
     if place is None:
         return {}
     columns = [names.index(name) for name in place]
@@ -194,51 +202,51 @@ def _hand(store: Store) -> dict[str, Any]:
         still.append((speed < STILL) & (np.abs(moved[:, fingers]) < STILL).all(axis=1))
     speed = np.concatenate(speeds)
     return {
-        "speed": {**_spread(speed), "mean": float(speed.mean()), "histogram": _histogram(speed)},
+        "speed": {**_quantiles(speed), "mean": float(speed.mean()), "histogram": _histogram(speed)},
         "idle": float(np.concatenate(still).mean()),
     }
 
 
-def _step_shares(store: Store) -> dict[str, float]:
-    """Mark of what lasts -> share of all steps that bear it."""
+def _step_fractions(store: Store) -> dict[str, float]:
+    """Mark of steps -> fraction of all steps that have it."""
     counts: dict[str, int] = {}
     for i in range(len(store)):
-        said = store.meta(i).skills
+        annotations = store.meta(i).skills
         for number, count in zip(*np.unique(store.array(i, "skill"), return_counts=True), strict=True):
-            for mark in read_annotation(said[number])[1] if said else ():
+            for mark in read_annotation(annotations[number])[1] if annotations else ():
                 counts[mark] = counts.get(mark, 0) + int(count)
-    lasting = sorted(set(counts) - {GAVE_UP, AGAIN})
-    return {mark: counts[mark] / int(store.lengths().sum()) for mark in lasting}
+    marks = sorted(set(counts) - {GAVE_UP, AGAIN})
+    return {mark: counts[mark] / int(store.lengths().sum()) for mark in marks}
 
 
-def _skills(tried: Sequence[SkillAttempt], fps: float) -> dict[str, Any]:
-    named = sorted({one.skill for one in tried if one.skill})
+def _skills(skill_attempts: Sequence[SkillAttempt], fps: float) -> dict[str, Any]:
+    named = sorted({attempt.skill for attempt in skill_attempts if attempt.skill})
     skills = {}
     for name in named:
-        own = [one for one in tried if one.skill == name]
-        whole = np.array([one.end - one.begin for one in own if not one.cut]) / fps
-        marks = {mark: sum(mark in one.marks for one in own) for mark in ("open_loop", "pause", *MISHAPS)}
-        skills[name] = {**_mended(own), "seconds": _spread(whole), "marks": marks}
+        own = [attempt for attempt in skill_attempts if attempt.skill == name]
+        whole = np.array([attempt.end - attempt.begin for attempt in own if not attempt.truncated]) / fps
+        marks = {mark: sum(mark in attempt.marks for attempt in own) for mark in ("open_loop", "pause", *MISHAPS)}
+        skills[name] = {**_outcomes(own), "seconds": _quantiles(whole), "marks": marks}
     return dict(sorted(skills.items(), key=lambda item: -item[1]["count"]))
 
 
 def _actions(store: Store) -> dict[str, Any]:
-    """Of each dimension: what was executed and what was meant, and the spread of the difference.
+    """For each dimension: executed actions and labels, and the standard deviation of their difference.
 
-    differ: quartiles of how far a step was from its label, in the dimension in which it was furthest.
+    label_distance: quantiles of the largest difference between an action and its label over all dimensions.
     """
     executed = np.concatenate([store.array(i, "action") for i in range(len(store))])
-    meant = np.concatenate([store.array(i, "expert_action") for i in range(len(store))])
+    label = np.concatenate([store.array(i, "expert_action") for i in range(len(store))])
     edges = np.linspace(-1, 1, BINS + 1)
-    strayed = np.abs(executed - meant).max(axis=1)
+    distance = np.abs(executed - label).max(axis=1)
     return {
-        "differ": _spread(strayed),
+        "label_distance": _quantiles(distance),
         "dimensions": {
             name: {
                 "edges": [-1.0, 1.0],
                 "executed": np.histogram(executed[:, k], edges)[0].tolist(),
-                "meant": np.histogram(meant[:, k], edges)[0].tolist(),
-                "noise": float((executed[:, k] - meant[:, k]).std()),
+                "label": np.histogram(label[:, k], edges)[0].tolist(),
+                "noise": float((executed[:, k] - label[:, k]).std()),
             }
             for k, name in enumerate(store.spec.action_names)
         },
@@ -259,8 +267,8 @@ def _histogram(values: Array) -> dict[str, Any]:
     return {"edges": [float(edges[0]), float(edges[-1])], "counts": counts.tolist()}
 
 
-def _spread(values: Array) -> Mapping[str, float | None]:
-    """Quartiles and ends; None where there is nothing."""
+def _quantiles(values: Array) -> Mapping[str, float | None]:
+    """Quartiles, minimum and maximum; None without values."""
     names = ("low", "lower", "median", "upper", "high")
     if not len(values):
         return dict.fromkeys(names)

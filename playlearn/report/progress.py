@@ -1,4 +1,4 @@
-"""How far a long job is, and how long it will take: a bar on a terminal, a plain line now and then on a pipe."""
+"""Progress of a long job and the time left: a bar on a terminal, a plain line now and then on a pipe."""
 
 import math
 import statistics
@@ -11,15 +11,15 @@ from typing import Self
 from tqdm import tqdm
 
 SOON, EVERY = 5.0, 15.0  # seconds until the first line on a pipe, and between two of them
-_RECENT = 100  # measurements that a pace is taken from
-_ODD = 10  # times the median: what took longer counts as this much
+_RECENT = 100  # measurements in the mean
+_OUTLIER = 10  # times the median: longer measurements count as this much
 
 
 class Pace:
-    """Seconds that a unit of work takes: the mean of the last ones, the first `warmup` and odd ones left aside.
+    """Seconds that a unit of work takes: a mean of the last measurements, without the first `warmup`, outliers clipped.
 
-    The first ones compile, import and build what the others find there; they count as long as nothing else is known.
-    One that was held up (the machine slept, a disk hung) says nothing about those to come.
+    The first ones include compiling, importing and building; they count as long as there are no others. Outliers (the
+    machine slept, a disk hung) say nothing about later units.
     """
 
     def __init__(self, warmup: int = 0) -> None:
@@ -37,7 +37,7 @@ class Pace:
         if not known:
             return math.nan
         ordered = sorted(known)
-        most = _ODD * statistics.median(ordered)
+        most = _OUTLIER * statistics.median(ordered)
         usual = ordered[: bisect_right(ordered, most)]
         return (sum(usual) + most * (len(ordered) - len(usual))) / len(ordered)
 
@@ -45,7 +45,11 @@ class Pace:
 class Progress:
     """Counts towards `total` in `unit`s; a context manager.
 
-    begun: what an earlier, interrupted run had done. workers: how many work side by side.
+    name: of the job.
+    total: units of work.
+    unit: name of a unit.
+    begun: units that an earlier, interrupted run had done.
+    workers: processes that work in parallel.
     """
 
     def __init__(self, name: str, total: float, unit: str, begun: float = 0.0, workers: int = 1) -> None:
@@ -53,9 +57,9 @@ class Progress:
         self._done = begun
         self._started = time.monotonic()
         self._next = self._started + SOON
-        self._worked = Pace(warmup=self._workers)  # of a unit; each worker's first piece holds what it builds once
+        self._worked = Pace(warmup=self._workers)  # of a unit; each worker's first piece includes what it builds once
         self._begun = (self._started, begun)
-        self._marks: deque[tuple[float, float]] = deque(maxlen=_RECENT)  # when so much was done
+        self._marks: deque[tuple[float, float]] = deque(maxlen=_RECENT)  # (time, done)
         counted = "{percentage:3.0f} %" if unit == "%" else "{n_fmt} of {total_fmt} " + unit + "s"
         self._bar = tqdm(
             total=total,
@@ -73,10 +77,11 @@ class Progress:
         self._bar.close()
 
     def to(self, done: float, note: str = "", *, seconds: float | None = None, left: float | None = None) -> None:
-        """`done` of `total` is done; `note` is shown beside it.
+        """Show that `done` of `total` is done.
 
-        seconds: what a worker took for the piece that is now done. left: until the end, in seconds, by one who knows
-        better.
+        note: shown beside it.
+        seconds: that a worker took for the piece that is now done.
+        left: seconds until the end, if the caller knows better.
         """
         now, before = time.monotonic(), self._done
         self._done = min(done, self._total)
@@ -91,7 +96,7 @@ class Progress:
             self._bar.update(self._done - self._bar.n)
         elif now >= self._next or finished:
             self._next = now + EVERY
-            self.say(f"{self._name}: {self._share()}, {shown}")
+            self.say(f"{self._name}: {self._done_text()}, {shown}")
 
     def say(self, line: str) -> None:
         """A line of its own, above the bar."""
@@ -100,14 +105,14 @@ class Progress:
         else:
             self._bar.write(line, file=sys.stderr)
 
-    def _share(self) -> str:
+    def _done_text(self) -> str:
         return f"{self._done:.0f} %" if self._unit == "%" else f"{self._done:.0f} of {self._total:.0f} {self._unit}s"
 
     def _time(self, now: float, finished: bool, left: float | None) -> str:
         if finished:
-            return f"took {spoken(now - self._started)}"
+            return f"took {format_seconds(now - self._started)}"
         left = self._left() if left is None else left
-        return "time left not known yet" if math.isnan(left) else f"about {spoken(left)} left"
+        return "time left not known yet" if math.isnan(left) else f"about {format_seconds(left)} left"
 
     def _left(self) -> float:
         rest, worked = self._total - self._done, self._worked.seconds()
@@ -115,11 +120,11 @@ class Progress:
             return rest * worked / self._workers
         if not self._marks:
             return math.nan
-        # By the clock, from the first piece on: before it lies the start.
+        # By the clock, from the first piece on, without the start-up.
         (since, had), (last, has) = self._begun if len(self._marks) == 1 else self._marks[0], self._marks[-1]
         return rest * (last - since) / (has - had)
 
 
-def spoken(seconds: float) -> str:
-    """As people say it: in minutes above two of them."""
+def format_seconds(seconds: float) -> str:
+    """In minutes above two of them, else in seconds."""
     return f"{seconds / 60:.0f} min" if seconds > 120 else f"{seconds:.0f} s"

@@ -1,4 +1,4 @@
-"""A store of play as one self-contained page: where things were, what changed, what went wrong, pictures."""
+"""A store of play as one self-contained page: positions of objects, changes, mistakes, pictures."""
 
 import io
 from collections.abc import Mapping, Sequence
@@ -10,48 +10,55 @@ from PIL import Image
 
 from playlearn.episode import Array
 from playlearn.report.pictures import encode_still
-from playlearn.report.strips import COLORS, Strip, picture, said
+from playlearn.report.strips import COLORS, Strip, mark_name, picture
 from playlearn.report.template import template
 
 WIDTH, HEIGHT = 300, 64  # of a histogram, in its own units
-_DARK = np.array([[246, 247, 249], [158, 190, 245], [47, 107, 219], [16, 42, 110]], float)  # never .. most often
+_DARK = np.array([[246, 247, 249], [158, 190, 245], [47, 107, 219], [16, 42, 110]], float)  # never ... most often
 
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """The pictures of a page. moments: random ones (h, w, 3) uint8. note: said where there are none."""
+    """The pictures of a page.
+
+    strips: of attempts.
+    moments: random images (h, w, 3) uint8.
+    note: why there are none.
+    """
 
     strips: Sequence[Strip] = ()
     moments: Sequence[Array] = ()
     note: str = ""
 
 
-def store_page(told: Mapping[str, Any], title: str, shown: Shown) -> str:
-    """The page as HTML. told: what `playlearn.report.play.figures` says."""
+def store_page(play: Mapping[str, Any], title: str, shown: Shown) -> str:
+    """The page as HTML. play: the result of `playlearn.report.play.figures`."""
     return template("store_page.html.j2").render(
-        told=told,
+        play=play,
         title=title,
         note=shown.note,
-        maps={name: (heat_map(one["counts"]), one["covers"]) for name, one in told["places"].get("maps", {}).items()},
+        maps={
+            name: (heat_map(row["counts"]), row["coverage"]) for name, row in play["heat_maps"].get("maps", {}).items()
+        },
         strips=[(strip.caption, encode_still(picture(strip))) for strip in shown.strips],
         moments=[encode_still(image) for image in shown.moments],
-        legend={said(mark): f"rgb{color}" for mark, color in COLORS.items()},
+        legend={mark_name(mark): f"rgb{color}" for mark, color in COLORS.items()},
         outline=outline,
-        most=max((one["count"] for one in told["skills"].values()), default=1),
+        most=max((row["count"] for row in play["skills"].values()), default=1),
         width=WIDTH,
         height=HEIGHT,
     )
 
 
 def heat_map(counts: Sequence[Sequence[int]]) -> bytes:
-    """One pixel a cell as PNG, darker where more often; by the square root, so that rare cells show."""
-    share = np.sqrt(np.asarray(counts, float))
-    share /= max(float(share.max()), 1.0)
-    at = share * (len(_DARK) - 1)
+    """One pixel a cell as PNG, darker where visited more often; by the square root, so that rare cells show."""
+    level = np.sqrt(np.asarray(counts, float))
+    level /= max(float(level.max()), 1.0)
+    at = level * (len(_DARK) - 1)
     below = np.minimum(at.astype(int), len(_DARK) - 2)
-    # What was visited at all stands out from what never was.
+    # Cells that were visited at all stand out from the others.
     color = _DARK[below] + (at - below)[..., None] * (_DARK[below + 1] - _DARK[below])
-    color[(share > 0) & (share < 0.15)] = _DARK[0] + 0.45 * (_DARK[1] - _DARK[0])
+    color[(level > 0) & (level < 0.15)] = _DARK[0] + 0.45 * (_DARK[1] - _DARK[0])
     buffer = io.BytesIO()
     Image.fromarray(color.round().astype(np.uint8)).save(buffer, "PNG")
     return buffer.getvalue()

@@ -1,4 +1,4 @@
-"""The templates of the pages, and how numbers and pictures are written into them."""
+"""Templates of the pages, and the filters that write numbers and pictures into them."""
 
 import base64
 import functools
@@ -8,7 +8,7 @@ import jinja2
 
 
 def template(name: str) -> jinja2.Template:
-    """A template of this folder; what is put into HTML is escaped."""
+    """A template of this folder; values are escaped in HTML."""
     return _environment().get_template(name)
 
 
@@ -21,13 +21,13 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         loader=jinja2.FunctionLoader(lambda name: files.joinpath(name).read_text("utf-8")),
     )
-    environment.filters |= {"percent": _percent, "width": lambda share: f"{100 * share:.2f}%", "data": _data_uri}
+    environment.filters |= {"percent": _percent, "width": lambda fraction: f"{100 * fraction:.2f}%", "data": _data_uri}
     return environment
 
 
-def _percent(share: float) -> str:
-    """As exact as a count out of a few hundred deserves: one decimal, none where it is zero."""
-    return f"{100 * share:.1f}".removesuffix(".0") + " %"
+def _percent(fraction: float) -> str:
+    """One decimal, as precise as a count of a few hundred; none if it is zero."""
+    return f"{100 * fraction:.1f}".removesuffix(".0") + " %"
 
 
 def _data_uri(picture: bytes) -> str:

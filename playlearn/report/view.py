@@ -1,6 +1,6 @@
-"""Play and evaluations in rerun: opened in its viewer, or written to an .rrd where there is no display.
+"""Play and evaluations in rerun: opened in its viewer, or written to an .rrd file without a display.
 
-An episode may be had as a picture, too (see `timeline.py`): by a file name that ends in .png.
+A file name that ends in .png gives the timeline of an episode as a picture (see `timeline.py`).
 """
 
 import base64
@@ -33,9 +33,8 @@ STILLS = ("start", "goal", "final")
 def view_episode(path: Path, episode: int = 0, *, save: Path | None = None) -> Path | None:
     """Show one episode of a store: cameras, goals, state, achieved, actions, skills, settled moments.
 
-    The goal beside each camera is what relabeling would give as the next: the world as it next settles.
-    Returns the .rrd where one was written (`save`, or no display), else None. A `save` that ends in .png is
-    the episode's timeline as a picture.
+    The goal beside each camera is the next settled moment, as relabeling would choose it. Returns the .rrd file if one
+    was written (`save`, or no display), else None. A `save` that ends in .png is the episode's timeline as a picture.
 
     Raises:
         StoreError: there is no such store or episode.
@@ -52,7 +51,7 @@ def view_episode(path: Path, episode: int = 0, *, save: Path | None = None) -> P
 
 
 def view_results(folder: Path, *, save: Path | None = None) -> Path | None:
-    """Show an evaluation: for every episode its goal beside what was achieved, and pictures where there are any.
+    """Show an evaluation: for every episode the goal beside what was achieved, and pictures if there are any.
 
     Raises:
         UsageError: the folder holds no evaluation.
@@ -68,9 +67,9 @@ def view_results(folder: Path, *, save: Path | None = None) -> Path | None:
             f"{folder} is not an evaluation ({error}): give the --out folder of `playlearn eval`"
         ) from error
     rows = sorted(
-        (row for row in rows if row["policy"] == policy), key=lambda row: (row["episode"], row.get("link", 0))
+        (row for row in rows if row["policy"] == policy), key=lambda row: (row["episode"], row.get("goal_index", 0))
     )
-    rows = list({row["episode"]: row for row in rows}.values())  # of several goals in a row the last attempted
+    rows = list({row["episode"]: row for row in rows}.values())  # of a chain the last attempted goal
     pictures = _pictures(folder / "report.html")
     layout = rrb.Vertical(
         rrb.Horizontal(*(rrb.Spatial2DView(origin=f"pictures/{still}", name=still) for still in STILLS)),
@@ -83,7 +82,7 @@ def view_results(folder: Path, *, save: Path | None = None) -> Path | None:
 def _show(
     name: str, layout: rrb.Container, log: Callable[[rr.RecordingStream], None], save: Path | None
 ) -> Path | None:
-    """Send what `log` logs to the viewer, or to a file where one is asked for or there is no display."""
+    """Send what `log` logs to the viewer, or to a file if `save` is given or there is no display."""
     recording = rr.RecordingStream("playlearn")
     recording.send_recording_name(name)
     if save is None and _has_display():
@@ -119,7 +118,7 @@ def _episode_layout(play: Episode) -> rrb.Container:
     cameras = [
         rrb.Horizontal(
             rrb.Spatial2DView(origin=f"camera/{camera}", name=camera),
-            rrb.Spatial2DView(origin=f"goal/{camera}", name=f"{camera}: how the world next settles"),
+            rrb.Spatial2DView(origin=f"goal/{camera}", name=f"{camera}: next settled moment"),
         )
         for camera in play.images
     ]
@@ -165,7 +164,7 @@ def _log_episode(recording: rr.RecordingStream, play: Episode, table: RelabelInd
         "events", index([t for t, _ in events]), rr.TextLog.columns(text=[what for _, what in events])
     )
 
-    # From each moment on the goal is the next settled one; past the last there is none.
+    # The goal is the next settled moment; after the last there is none.
     since = [0, *moments[:-1].tolist()][: len(moments)]
     for camera, frames in play.images.items():
         _log_frames(recording, f"camera/{camera}", frames, index(np.arange(len(frames))))
@@ -200,7 +199,7 @@ def _log_results(
 
 
 def _outcome(row: Mapping[str, Any], names: Sequence[str]) -> str:
-    """One attempt in markdown: the goal beside what was achieved."""
+    """One episode in markdown: the goal beside what was achieved."""
     head = f"# {row['task']}, episode {row['episode']}\n{row['reason']} ({row['steps']} steps)\n\n"
     columns = [row[f"{still}_achieved"] or [] for still in STILLS]
     named = names if len(names) == len(columns[1]) else [str(k) for k in range(len(columns[1]))]
@@ -212,7 +211,7 @@ def _outcome(row: Mapping[str, Any], names: Sequence[str]) -> str:
 
 
 def _pictures(report: Path) -> dict[int, dict[str, Array]]:
-    """Episode -> still -> (h, w, 3) uint8, out of the report's galleries; empty where there is no report."""
+    """Episode -> still -> (h, w, 3) uint8, from the galleries of the report; empty without a report."""
     if not report.exists():
         return {}
     reader = _Gallery()
@@ -229,12 +228,12 @@ class _Gallery(HTMLParser):
         self._stills: dict[str, Array] = {}
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        given = {name: value or "" for name, value in attrs}
+        values = {name: value or "" for name, value in attrs}
         if tag == "figure":
             self._stills = {}
-        elif tag == "img" and given.get("alt") in STILLS and "base64," in given.get("src", ""):
-            content = base64.b64decode(given["src"].partition("base64,")[2])
-            self._stills[given["alt"]] = np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))
+        elif tag == "img" and values.get("alt") in STILLS and "base64," in values.get("src", ""):
+            content = base64.b64decode(values["src"].partition("base64,")[2])
+            self._stills[values["alt"]] = np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))
 
     def handle_data(self, data: str) -> None:
         named = re.search(r"\bepisode (\d+)", data)

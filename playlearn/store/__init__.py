@@ -27,12 +27,12 @@ __all__ = [
 
 
 def parse_store(raw: Any) -> Path | StoreConfig:
-    """What `store:` says in a config that was saved: a folder, or a kind with its settings."""
+    """Parse `store:` of a saved config: a folder, or a kind with its settings."""
     return from_dict(StoreConfig, raw) if isinstance(raw, Mapping) else Path(raw)
 
 
 def open_store(where: Path | str | StoreConfig) -> Store:
-    """The store that a config describes, or that lies in a folder, of whatever kind. Raises StoreError for none."""
+    """Open a store from its config, or the store of any kind in a folder; raises StoreError if there is none."""
     if isinstance(where, StoreConfig):
         return where.build()
     kinds = map(StoreConfig.get_choice_class, StoreConfig.get_known_choices())

@@ -1,4 +1,4 @@
-"""What every store of episodes offers to those who read it, whatever it looks like on disk."""
+"""The read interface of every store of episodes, whatever its format on disk."""
 
 import dataclasses
 import json
@@ -22,7 +22,7 @@ class StoreConfig(draccus.ChoiceRegistry):
 
     @classmethod
     def at(cls, folder: Path) -> "StoreConfig | None":
-        """The config of the store in a folder, None where what lies there is of another kind."""
+        """The config of the store in a folder; None if the folder holds another kind."""
         return None
 
     def build(self) -> "Store":
@@ -33,8 +33,12 @@ class StoreConfig(draccus.ChoiceRegistry):
 class StoreSpec:
     """What all episodes of one store have in common.
 
-    environment: the environment's full config. *_names: what each index means. fps: steps a second.
-    cameras: name -> (height, width) of the recorded images; empty where only states were recorded.
+    environment: full config of the environment.
+    state_names: name of each dimension of the state.
+    achieved_names: name of each dimension of the achieved goal.
+    action_names: name of each dimension of the action.
+    fps: control steps a second.
+    cameras: name -> (height, width) of the recorded images; empty if only states were recorded.
     """
 
     environment: Mapping[str, Any]
@@ -51,19 +55,19 @@ class StoreSpec:
 
     @classmethod
     def of_shapes(cls, meta: EpisodeMeta, shapes: Mapping[str, tuple[int, ...]]) -> Self:
-        """The same from an episode's metadata and the shapes of its arrays."""
+        """The spec from an episode's metadata and the shapes of its arrays."""
         cameras = {
             key.removeprefix(IMAGES): (shape[1], shape[2]) for key, shape in shapes.items() if key.startswith(IMAGES)
         }
         return cls(meta.environment, meta.state_names, meta.achieved_names, meta.action_names, meta.fps, cameras)
 
     def check(self, other: "StoreSpec") -> None:
-        """Raises StoreError naming the first thing in which an episode's spec differs from its store's."""
+        """Raises StoreError that names the first field in which an episode's spec differs from its store's."""
         for entry in dataclasses.fields(self):
-            mine, its = plain(getattr(self, entry.name)), plain(getattr(other, entry.name))
-            if mine != its:
+            own, theirs = plain(getattr(self, entry.name)), plain(getattr(other, entry.name))
+            if own != theirs:
                 raise StoreError(
-                    f"an episode whose {entry.name} differs from the store's: {its} is not {mine}; "
+                    f"an episode whose {entry.name} differs from the store's: {theirs} is not {own}; "
                     "put it into a store of its own"
                 )
 
@@ -76,11 +80,11 @@ class Store(Protocol):
     def __len__(self) -> int: ...
 
     def name(self) -> str:
-        """What to call this store in a message: its path."""
+        """Its path, for messages."""
         ...
 
     def indices(self) -> NDArray[np.int64]:
-        """(N,) the number each episode was recorded under: stays with it when others come or go."""
+        """(N,) the number that each episode was recorded under; it never changes."""
         ...
 
     def lengths(self) -> NDArray[np.int64]:
@@ -94,7 +98,7 @@ class Store(Protocol):
     def meta(self, i: int) -> EpisodeMeta: ...
 
     def read(self, i: int) -> Episode:
-        """Episode i, whole and checked; its arrays are views where the store can map them."""
+        """Episode i, whole and checked; its arrays are memory-mapped views if the store can map them."""
         ...
 
     def array(self, i: int, key: str) -> Array:
@@ -102,23 +106,23 @@ class Store(Protocol):
         ...
 
     def verify(self) -> list[str]:
-        """One line for each thing that is wrong; reads everything. Empty: the store is whole."""
+        """One line for each problem; reads everything. Empty: the store is intact."""
         ...
 
     def info(self) -> dict[str, Any]:
-        """What is in it, as JSON."""
+        """Summary of the contents, as JSON."""
         ...
 
 
 def with_images(episode: Episode, images: Mapping[str, Array], renderer: str) -> Episode:
-    """The same episode with other images, camera -> (T+1, h, w, 3) uint8, drawn by `renderer`."""
+    """The same episode with other images, camera -> (T+1, h, w, 3) uint8, rendered by `renderer`."""
     cameras = {camera: {"height": frames.shape[1], "width": frames.shape[2]} for camera, frames in images.items()}
     meta = dataclasses.replace(episode.meta, cameras=cameras, renderer=renderer)
     return dataclasses.replace(episode, meta=meta, images=dict(images))
 
 
 def plain(value: Any) -> Any:
-    """The value as JSON would give it back: mappings are dicts, tuples are lists."""
+    """The value as JSON returns it: mappings become dicts, tuples lists."""
     return json.loads(json.dumps(value, default=dict, sort_keys=True))
 
 
@@ -128,7 +132,7 @@ def to_json(record: Any) -> str:
 
 
 def from_json[T](cls: type[T], text: str) -> T:
-    """What `to_json` wrote. Raises StoreError where a field is unknown or missing."""
+    """Inverse of `to_json`; raises StoreError if a field is unknown or missing."""
     hints = typing.get_type_hints(cls)
     values = json.loads(text)
     unknown = sorted(set(values) - set(hints))
@@ -142,7 +146,7 @@ def from_json[T](cls: type[T], text: str) -> T:
 
 
 def summary(store: Store) -> dict[str, Any]:
-    """What can be told of any store without reading its images."""
+    """Summary of any store, without reading its images."""
     lengths = store.lengths()
     metas = [store.meta(i) for i in range(len(store))]
     skills: dict[str, int] = {}

@@ -1,4 +1,4 @@
-"""The folder of a native store: what lies in it under which name, who may write, what a kill leaves behind."""
+"""The folder of a native store: file names, the writer's lock, and what a kill leaves behind."""
 
 import json
 from collections.abc import Collection, Iterator, Mapping
@@ -16,13 +16,13 @@ SUFFIX = ".safetensors"
 
 
 def episode_path(folder: Path, index: int) -> Path:
-    """Where the episode recorded under `index` lies."""
+    """The file of the episode recorded under `index`."""
     return folder / "episodes" / f"{index:06d}{SUFFIX}"
 
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Be the one who writes there; the kernel lets go of the lock when its holder dies."""
+    """Hold the writer's lock; the kernel releases it when its holder dies."""
     lock = filelock.FileLock(folder / ".lock")
     try:
         lock.acquire(timeout=0)
@@ -37,18 +37,18 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def check_free(folder: Path, notes: Collection[str]) -> None:
-    """Raises StoreError where a store would be made on top of something."""
+    """Raises StoreError if the folder already holds something."""
     if (folder / "store.json").exists():
         raise StoreError(f"{folder} is already a store: add to it with --resume, or name another folder")
-    ours = {".lock", "episodes", *notes}  # what a kill leaves while a store is made
-    if folder.exists() and (not folder.is_dir() or any(path.name not in ours for path in _entries(folder))):
+    allowed = {".lock", "episodes", *notes}  # left by a kill while a store is made
+    if folder.exists() and (not folder.is_dir() or any(path.name not in allowed for path in _entries(folder))):
         raise StoreError(f"{folder} already holds something that is not a store: name another folder")
     if _entries(folder / "episodes"):
         raise StoreError(f"{folder} holds episodes but no store.json: put it back, or name another folder")
 
 
 def make_folder(folder: Path) -> None:
-    """Make it and those above it, so that they survive a power cut."""
+    """Make a folder and its parents, durably: they survive a power cut."""
     made = [path for path in (folder, *folder.parents) if not path.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     for path in made:
@@ -56,10 +56,13 @@ def make_folder(folder: Path) -> None:
 
 
 def claim(folder: Path, name: str, note: Mapping[str, Any], what: str) -> None:
-    """Write down in the file `name` what the folder's files of `what` are made with, and make room for them.
+    """Record in the file `name` what the folder's files are made with, and prepare the folder.
+
+    note: everything that determines the files, as JSON.
+    what: what the files are, for messages.
 
     Raises:
-        UsageError: those that are there were made with something else.
+        UsageError: the files there were made with something else.
     """
     path = folder / name
     if not path.exists():
@@ -74,30 +77,30 @@ def claim(folder: Path, name: str, note: Mapping[str, Any], what: str) -> None:
 
 
 def sweep(folder: Path) -> None:
-    """Remove what killed writers left half written."""
+    """Remove files that killed writers left half written."""
     for place in (folder, folder / "episodes"):
-        for left in place.glob(f".*{TEMPORARY}"):
-            left.unlink(missing_ok=True)
+        for leftover in place.glob(f".*{TEMPORARY}"):
+            leftover.unlink(missing_ok=True)
 
 
 def indices(folder: Path) -> list[int]:
-    """The numbers of the episodes that are there, in no order."""
-    numbers = (_number(path) for path in (folder / "episodes").glob(f"*{SUFFIX}"))
+    """The numbers of the episodes that are there, in any order."""
+    numbers = (_index_of(path) for path in (folder / "episodes").glob(f"*{SUFFIX}"))
     return [number for number in numbers if number is not None]
 
 
-def strangers(folder: Path) -> list[Path]:
-    """What lies among the episodes and is none."""
-    return sorted(path for path in _entries(folder / "episodes") if _number(path) is None)
+def foreign_files(folder: Path) -> list[Path]:
+    """Files among the episodes that are not episodes."""
+    return sorted(path for path in _entries(folder / "episodes") if _index_of(path) is None)
 
 
 def _entries(folder: Path) -> list[Path]:
-    """What lies there, apart from what is not whole yet."""
+    """The entries of a folder, without files that are still being written."""
     return [path for path in folder.iterdir() if path.suffix != TEMPORARY] if folder.is_dir() else []
 
 
-def _number(path: Path) -> int | None:
-    """The number an episode's file is named by; None for any other file."""
+def _index_of(path: Path) -> int | None:
+    """The number in the name of an episode file; None for any other file."""
     stem = path.name.removesuffix(SUFFIX)
     number = int(stem) if stem.isascii() and stem.isdecimal() else None
     return number if number is not None and path.name == episode_path(path, number).name else None

@@ -1,4 +1,4 @@
-"""HDF5 as robosuite and robomimic lay it out, a group a demonstration, `data/demo_12`; what is not plain is refused."""
+"""HDF5 files of robosuite and robomimic: a group for each demonstration, `data/demo_12`; only plain arrays are read."""
 
 import json
 import re
@@ -16,8 +16,8 @@ from playlearn.errors import EpisodeError, StoreError, UsageError
 _DEMO = re.compile(r"demo_(\d+)")
 
 
-def library() -> Any:
-    """h5py. Raises UsageError where it is not installed."""
+def import_h5py() -> Any:
+    """h5py; raises UsageError if it is not installed."""
     try:
         import h5py
     except ImportError as error:
@@ -26,25 +26,25 @@ def library() -> Any:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Any]:
-    """The file's group `data` belongs to, open for reading.
+def open_hdf5(path: Path) -> Iterator[Any]:
+    """The file, open for reading.
 
     Raises:
         UsageError: h5py is not installed.
         StoreError: there is no such file, or it cannot be read as HDF5.
     """
-    h5py = library()
+    h5py = import_h5py()
     if not path.is_file():
         raise StoreError(f"there is no file {path}")
     try:
         file = h5py.File(path, "r")
     except OSError as error:
-        raise StoreError(f"{path} is no HDF5 file, or not a whole one ({error}): fetch it again") from error
+        raise StoreError(f"{path} is not an HDF5 file, or is incomplete ({error}): fetch it again") from error
     with file:
         yield file
 
 
-def demonstrations(file: Any, path: Path) -> dict[int, str]:
+def demonstration_names(file: Any, path: Path) -> dict[int, str]:
     """Number -> name of its group, in numeric order: demo_2 comes before demo_10.
 
     Raises:
@@ -54,7 +54,7 @@ def demonstrations(file: Any, path: Path) -> dict[int, str]:
 
     data = file.get("data")
     if not isinstance(data, h5py.Group):
-        raise StoreError(f"{path} has no group `data`: it is neither robomimic's nor robosuite's")
+        raise StoreError(f"{path} has no group `data`: it is from neither robomimic nor robosuite")
     found = {int(match[1]): name for name in data if (match := _DEMO.fullmatch(name))}
     if not found:
         raise StoreError(f"{path} holds no demonstration (no `data/demo_0` or the like)")
@@ -62,7 +62,7 @@ def demonstrations(file: Any, path: Path) -> dict[int, str]:
 
 
 def masks(file: Any, path: Path, names: Mapping[int, str]) -> dict[str, list[int]]:
-    """Mask -> the numbers of its demonstrations, in numeric order. Raises StoreError where one is not there."""
+    """Mask -> the numbers of its demonstrations, in numeric order. Raises StoreError if a demonstration is missing."""
     numbers = {name: number for number, name in names.items()}
     found = {}
     for mask in file.get("mask", ()):
@@ -74,8 +74,8 @@ def masks(file: Any, path: Path, names: Mapping[int, str]) -> dict[str, list[int
     return found
 
 
-def chosen(mask: str | None, known: Mapping[str, Sequence[int]], path: Path) -> list[int] | None:
-    """The numbers under a mask, None for all. Raises UsageError where there is no such mask."""
+def mask_members(mask: str | None, known: Mapping[str, Sequence[int]], path: Path) -> list[int] | None:
+    """The demonstrations of a mask; None stands for all. Raises UsageError if there is no such mask."""
     if mask is None:
         return None
     if mask not in known:
@@ -84,10 +84,10 @@ def chosen(mask: str | None, known: Mapping[str, Sequence[int]], path: Path) -> 
 
 
 def dataset(group: Any, key: str) -> Any:
-    """A dataset of numbers or text that lies in this very file.
+    """A dataset of numbers or text in this file itself.
 
     Raises:
-        StoreError: it is missing, lies elsewhere (a link), or holds objects.
+        StoreError: it is missing, is a link, or has its numbers in another file.
     """
     import h5py
 
@@ -110,8 +110,8 @@ def plain_array(group: Any, key: str) -> Array:
     return np.asarray(dataset(group, key)[()])
 
 
-def described(group: Any, key: str) -> dict[str, Any]:
-    """A JSON attribute, such as `env_args`; {} where there is none. Raises StoreError where it is no JSON."""
+def json_attribute(group: Any, key: str) -> dict[str, Any]:
+    """A JSON attribute, such as `env_args`; {} if it is missing. Raises StoreError if it is not JSON."""
     text = group.attrs.get(key)
     if text is None:
         return {}
@@ -122,9 +122,11 @@ def described(group: Any, key: str) -> dict[str, Any]:
 
 
 class Demonstrations:
-    """What files of robomimic and of robosuite have in common as `Recordings`; set up by who knows the format.
+    """The part of `Recordings` that robomimic and robosuite files share; subclasses read the format.
 
-    _names, _problems: number of a demonstration -> its name, and what is wrong with it.
+    _path: the file.
+    _names: number of a demonstration -> its name.
+    _problems: number of a demonstration -> what is wrong with it.
     """
 
     _path: Path
@@ -138,7 +140,7 @@ class Demonstrations:
         return self._problems
 
     def read(self, numbers: Sequence[int]) -> Iterator[tuple[int, Episode | StoreError]]:
-        with opened(self._path) as file:
+        with open_hdf5(self._path) as file:
             for number in numbers:
                 name = f"{self._path}: {self._names[number]}"
                 try:

@@ -1,4 +1,4 @@
-"""Other people's recordings, put into a store of ours: episode by episode, so that a kill loses none that was done."""
+"""Import recordings of other formats into a native store, episode by episode: a kill loses none that is done."""
 
 import json
 import sys
@@ -13,26 +13,31 @@ from playlearn.store.base import StoreSpec, plain
 from playlearn.store.native import NativeStore
 
 NOTE = "import.json"  # what the episodes were made from, beside store.json
-_NAMED = 10  # broken recordings in one message
+_MAX_LISTED = 10  # broken recordings in one message
 
 
 class Recordings(Protocol):
-    """What an importer offers. note: what decides the episodes, as JSON. splits: name -> numbers of its episodes."""
+    """What an importer offers.
+
+    spec: of the store.
+    note: everything that determines the episodes, as JSON.
+    splits: name -> numbers of its episodes.
+    """
 
     spec: StoreSpec
     note: Mapping[str, Any]
     splits: Mapping[str, Sequence[int]]
 
     def names(self) -> Mapping[int, str]:
-        """Number -> what the source calls it; of all that are to be imported."""
+        """Number -> name in the source, of every recording to import."""
         ...
 
     def problems(self) -> Mapping[int, str]:
-        """Number -> why it cannot be imported, as far as that shows without reading it whole."""
+        """Number -> why it cannot be imported, as far as is known without reading it whole."""
         ...
 
     def read(self, numbers: Sequence[int]) -> Iterator[tuple[int, Episode | StoreError]]:
-        """The episodes under these ascending numbers, one in memory at a time; what is wrong with one, in its place."""
+        """The episodes of these ascending numbers, one in memory at a time; an error in place of a broken one."""
         ...
 
 
@@ -42,11 +47,13 @@ def import_recordings(
     *,
     skip_broken: bool = False,
     progress: Callable[[int], None] = lambda done: None,
-    say: Callable[[str], None] = lambda words: print(words, file=sys.stderr),
+    say: Callable[[str], None] = lambda line: print(line, file=sys.stderr),
 ) -> NativeStore:
-    """Put every recording into the store at `out`; those that are there already are left alone.
+    """Import every recording into the store at `out`; those already there are kept as they are.
 
-    skip_broken: leave broken ones out, saying so, instead of stopping at them.
+    skip_broken: leave broken ones out, with a message, instead of stopping at them.
+    progress: called with the number of episodes done.
+    say: prints a message.
 
     Raises:
         StoreError: some are broken, which the message names; `out` holds something else.
@@ -54,7 +61,7 @@ def import_recordings(
     """
     names, broken = recordings.names(), dict(recordings.problems())
     if broken and not skip_broken:
-        raise StoreError(_told(broken, len(names)))
+        raise StoreError(_format_problems(broken, len(names)))
     store = _begin(recordings, out)
     with store.writer() as writer:
         done = set(store.indices().tolist())
@@ -66,8 +73,8 @@ def import_recordings(
             else:
                 writer.append(got, number)
                 progress(len(store))
-    for words in broken.values():
-        say(f"left out: {words}")
+    for problem in broken.values():
+        say(f"left out: {problem}")
     if not len(store):
         raise StoreError(f"none of {len(names)} recordings could be imported")
     return store
@@ -90,10 +97,10 @@ def _begin(recordings: Recordings, out: Path) -> NativeStore:
     return store
 
 
-_ADVICE = "what was done before it is kept; mend it, or leave broken ones out with --skip-broken, and run this again"
+_ADVICE = "the episodes before it are kept; repair it, or leave broken ones out with --skip-broken, and run this again"
 
 
-def _told(broken: Mapping[int, str], total: int) -> str:
+def _format_problems(broken: Mapping[int, str], total: int) -> str:
     lines = [f"{len(broken)} of {total} recordings are broken; --skip-broken imports the others"]
-    lines += [f"  {words}" for words in list(broken.values())[:_NAMED]]
-    return "\n".join(lines + ([f"  and {len(broken) - _NAMED} more"] if len(broken) > _NAMED else []))
+    lines += [f"  {problem}" for problem in list(broken.values())[:_MAX_LISTED]]
+    return "\n".join(lines + ([f"  and {len(broken) - _MAX_LISTED} more"] if len(broken) > _MAX_LISTED else []))

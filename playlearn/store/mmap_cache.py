@@ -1,4 +1,4 @@
-"""Files of arrays, mapped when they are asked for; those asked for longest ago are let go."""
+"""Least-recently-used cache of memory-mapped files of arrays."""
 
 import threading
 from collections import OrderedDict
@@ -9,16 +9,16 @@ from playlearn.episode import Array
 OPEN_MAPS = 256  # each costs a file descriptor, of which a process has 1,024 by default
 
 
-class Maps:
-    """number -> the arrays of a file; safe to share between threads."""
+class MmapCache:
+    """Number -> arrays of a file; safe to share between threads."""
 
     def __init__(self) -> None:
         self._maps: OrderedDict[int, dict[str, Array]] = OrderedDict()
-        self._guard = threading.Lock()
+        self._lock = threading.Lock()
 
     def get(self, number: int, load: Callable[[], dict[str, Array]]) -> dict[str, Array]:
-        """The arrays, loaded where they are not there yet; one at a time."""
-        with self._guard:
+        """The arrays of a file, loaded unless cached; one thread at a time."""
+        with self._lock:
             arrays = self._maps.get(number)
             if arrays is None:
                 arrays = self._maps[number] = load()

@@ -1,12 +1,12 @@
 """The project's own store: a folder with `store.json` and one safetensors file an episode.
 
     NAME/store.json                     format, version, environment, names, fps, cameras
-    NAME/episodes/000007.safetensors    named by the number the episode was recorded under
+    NAME/episodes/000007.safetensors    named by the number that the episode was recorded under
     NAME/.lock                          held by the one writer
 
-Episodes come whole or not at all, in any order; a file that a kill left half written bears another
-name, is never read, and is removed by the next writer. `store.json` is written last, so what bears
-none is no store yet, and whoever was killed while making it may begin again.
+Episodes are written whole or not at all, in any order. A file that a kill left half written has another name, is never
+read, and is removed by the next writer. `store.json` is written last: a folder without it is no store yet, and a writer
+that was killed while making it can start again.
 """
 
 import bisect
@@ -25,18 +25,21 @@ from playlearn.config import atomic_write
 from playlearn.episode import Array, Episode, EpisodeMeta
 from playlearn.errors import EpisodeError, StoreError
 from playlearn.store.base import StoreConfig, StoreSpec, from_json, summary, to_json, with_images
-from playlearn.store.folder import check_free, episode_path, indices, locked, make_folder, strangers, sweep
-from playlearn.store.mmap_cache import Maps
+from playlearn.store.folder import check_free, episode_path, foreign_files, indices, locked, make_folder, sweep
+from playlearn.store.mmap_cache import MmapCache
 from playlearn.store.tensors import DAMAGED, Layout, checksum_holds, map_tensors, read_header, write_tensors
 
 FORMAT, VERSION = "playlearn", 1
-_NAMED = 10  # damaged files in one message
+_MAX_LISTED = 10  # damaged files in one message
 
 
 @StoreConfig.register_subclass("native")
 @dataclass(frozen=True)
 class NativeStoreConfig(StoreConfig):
-    """path: the store's folder."""
+    """A native store.
+
+    path: its folder.
+    """
 
     path: Path = Path("datasets/play")
 
@@ -47,8 +50,7 @@ class NativeStoreConfig(StoreConfig):
 class NativeStore:
     """Read side; safe to share between threads.
 
-    It shows the episodes that were there when it was opened (`refresh` looks again), and those that its
-    own writer adds.
+    It shows the episodes that were there when it was opened, and those that its own writer adds; `refresh` looks again.
     """
 
     def __init__(self, path: Path, spec: StoreSpec) -> None:
@@ -56,7 +58,7 @@ class NativeStore:
         self.path, self.spec = path, spec
         self._layouts: dict[int, Layout] = {}
         self._indices: list[int] = []  # ascending
-        self._maps = Maps()
+        self._maps = MmapCache()
         self.refresh()
 
     @classmethod
@@ -76,8 +78,8 @@ class NativeStore:
     ) -> "NativeStore":
         """Make an empty store.
 
-        notes: name -> what writes that file, given its path: what shall lie beside `store.json`. They come
-        before it, so that no store lacks them.
+        notes: file name -> function that writes that file beside `store.json`, given its path. They are written
+            first, so that no store lacks them.
 
         Raises:
             StoreError: the folder already holds something, or another process is making it.
@@ -86,7 +88,7 @@ class NativeStore:
         check_free(path, notes)
         make_folder(path / "episodes")
         with locked(path):
-            check_free(path, notes)  # somebody may have been quicker
+            check_free(path, notes)  # another process may have made it meanwhile
             for name, write in notes.items():
                 write(path / name)
             description = {"format": FORMAT, "version": VERSION, **json.loads(to_json(spec))}
@@ -94,7 +96,7 @@ class NativeStore:
         return cls(path, _read_spec(path))
 
     def refresh(self) -> None:
-        """Look again which episodes are there. Raises StoreError naming those that cannot be read."""
+        """Look again which episodes are there; raises StoreError that names those that cannot be read."""
         found = sorted(indices(self.path))
         layouts, problems = {}, []
         for index in found:
@@ -103,18 +105,18 @@ class NativeStore:
             except StoreError as error:
                 problems.append(str(error))
         if problems:
-            more = f"\nand {len(problems) - _NAMED} more" if len(problems) > _NAMED else ""
-            raise StoreError("\n".join(problems[:_NAMED]) + more)
+            more = f"\nand {len(problems) - _MAX_LISTED} more" if len(problems) > _MAX_LISTED else ""
+            raise StoreError("\n".join(problems[:_MAX_LISTED]) + more)
         self._layouts, self._indices = layouts, found
 
     def add(self, index: int) -> None:
-        """Show the episode that was just written under `index`, without looking for others."""
+        """Add the episode that was just written under `index`, without looking for others."""
         self._layouts[index] = self._checked(episode_path(self.path, index))
         bisect.insort(self._indices, index)
 
     @contextmanager
     def writer(self) -> Iterator["Writer"]:
-        """Hold the store's lock and append; what a killed writer left half written is removed.
+        """Hold the store's lock to append; removes files that a killed writer left half written.
 
         Raises:
             StoreError: another process is writing.
@@ -134,7 +136,7 @@ class NativeStore:
         return str(self.path)
 
     def last(self) -> int:
-        """The highest number an episode bears, -1 where there is none."""
+        """The highest episode number; -1 for an empty store."""
         return self._indices[-1] if self._indices else -1
 
     def indices(self) -> NDArray[np.int64]:
@@ -164,7 +166,7 @@ class NativeStore:
         return with_images(self.read(i), images, renderer)
 
     def verify(self) -> list[str]:
-        problems = [f"{path} does not belong here: move it out of the store" for path in strangers(self.path)]
+        problems = [f"{path} does not belong here: move it out of the store" for path in foreign_files(self.path)]
         for i, index in enumerate(self._indices):
             path = episode_path(self.path, index)
             try:
@@ -179,14 +181,14 @@ class NativeStore:
         return problems
 
     def info(self) -> dict[str, Any]:
-        there = set(self._indices)
+        present = set(self._indices)
         return {
             "path": str(self.path),
             "format": FORMAT,
             "version": VERSION,
             **summary(self),
             "bytes": sum(self._layouts[index].size for index in self._indices),
-            "missing": [index for index in range(max(there, default=0)) if index not in there],
+            "missing": [index for index in range(max(present, default=0)) if index not in present],
         }
 
     def _checked(self, path: Path) -> Layout:
@@ -208,7 +210,7 @@ class NativeStore:
 
 
 class Writer:
-    """The one writer of a store; got from `NativeStore.writer()`."""
+    """The one writer of a store, made by `NativeStore.writer()`."""
 
     def __init__(self, store: NativeStore) -> None:
         self._store = store
@@ -228,9 +230,9 @@ class Writer:
 
 
 def write_episode(folder: Path | str, index: int, episode: Episode) -> Path:
-    """Put an episode into the store at `folder` under `index`, atomically; one that is there is replaced.
+    """Write an episode into the store at `folder` under `index`, atomically; an existing one is replaced.
 
-    Takes no lock: for worker processes whose parent holds it. Two jobs with one index give one episode.
+    Takes no lock: for worker processes whose parent holds it. Two jobs with the same index give one episode.
 
     Raises:
         StoreError: no store is there, the episode is another environment's, or the disk is full.
@@ -252,7 +254,7 @@ def write_episode(folder: Path | str, index: int, episode: Episode) -> Path:
 
 
 def _meta(path: Path) -> tuple[EpisodeMeta, Layout]:
-    """What an episode's file says of it, and where its arrays lie. Raises StoreError where it is no episode."""
+    """Metadata of an episode file and the layout of its arrays; raises StoreError if it is not an episode."""
     header = read_header(path)
     if "meta" not in header.metadata or "action" not in header.layout.slots:
         raise StoreError(f"{path} is not an episode: move it out of the store")

@@ -1,4 +1,4 @@
-"""The arrays of an .npz read row by row, in step, whatever their size; one that would need pickle is refused."""
+"""Read the arrays of an .npz of any size row by row, in step; refuses arrays that would need pickle."""
 
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -14,13 +14,15 @@ from playlearn.errors import StoreError
 
 
 class Rows:
-    """Arrays with as many rows each, read forwards. shapes: name -> of one row; dtypes; length: rows.
+    """Arrays with the same number of rows, read forwards; a context manager that holds the file open.
 
-    A context manager: it holds the file open.
+    shapes: name -> shape of one row.
+    dtypes: name -> dtype.
+    length: number of rows.
     """
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
-        """Raises StoreError where the file, or an array, is missing, damaged, or not of plain numbers."""
+        """Raises StoreError if the file or an array is missing, damaged, or not of plain numbers."""
         self._path, self._stack = path, ExitStack()
         self.shapes: dict[str, tuple[int, ...]] = {}
         self.dtypes: dict[str, Any] = {}
@@ -39,7 +41,7 @@ class Rows:
             raise
         if len(set(lengths.values())) > 1:
             self._stack.close()
-            raise StoreError(f"{path}: its arrays do not have as many rows each: {lengths}")
+            raise StoreError(f"{path}: its arrays differ in their number of rows: {lengths}")
         self.length = next(iter(lengths.values()), 0)
 
     def __enter__(self) -> Self:
@@ -53,7 +55,7 @@ class Rows:
         return {name: self._read(name, count) for name in self._streams}
 
     def skip(self, count: int, at_once: int = 1 << 24) -> None:
-        """Pass over rows, holding no more than `at_once` bytes of them."""
+        """Skip rows, holding no more than `at_once` bytes of them."""
         for name, stream in self._streams.items():
             left = count * self._size(name)
             while left:
@@ -78,18 +80,18 @@ class Rows:
 
 
 def members(path: Path) -> list[str]:
-    """The names of its arrays. Raises StoreError where it is no .npz."""
+    """The names of the arrays; raises StoreError if the file is not an .npz."""
     try:
         with zipfile.ZipFile(path) as archive:
             return [name.removesuffix(".npy") for name in archive.namelist()]
     except FileNotFoundError as error:
         raise StoreError(f"there is no file {path}") from error
     except (OSError, zipfile.BadZipFile) as error:
-        raise StoreError(f"{path} is no .npz file, or not a whole one ({error}): fetch it again") from error
+        raise StoreError(f"{path} is not an .npz file, or is incomplete ({error}): fetch it again") from error
 
 
 def _begin(stack: ExitStack, archive: zipfile.ZipFile, path: Path, name: str) -> tuple[Any, tuple[int, ...], Any]:
-    """A stream at an array's first row, its shape and dtype."""
+    """A stream at the first row of an array, its shape and dtype."""
     if f"{name}.npy" not in archive.namelist():
         raise StoreError(f"{path} has no array {name!r}: it has {', '.join(members(path))}")
     stream = stack.enter_context(archive.open(f"{name}.npy"))

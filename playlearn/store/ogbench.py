@@ -1,13 +1,13 @@
 """Import of OGBench's manipulation datasets (Park et al., 2024, arXiv:2410.20092): `cube-*` and `scene-*`, as .npz.
 
 Its rows are the observations s_0 ... s_T of an episode, each with the action taken there; `terminals` marks s_T, whose
-action leads nowhere. What they say is told in the numbers of our own OGBench worlds (`playlearn.envs.ogbench`), so
-that a policy learned from them is judged there. OGBench's observation, in this order:
+action leads nowhere. They are converted to the observations of our OGBench environments (`playlearn.envs.ogbench`), so
+that a policy trained on them can be evaluated there. OGBench's observation, in this order:
 
-    joint positions (6) and velocities (6); hand x y z, less 0.425 m in x, times 10; cos and sin of its yaw;
-    how far the gripper is shut, times 3; its contact
-    each cube: x y z as the hand's, quaternion w x y z, cos and sin of its yaw
-    each button: which of its two states, one-hot; how far it is up, times 120; velocity
+    joint positions (6) and velocities (6); end effector x y z, minus 0.425 m in x, times 10; cos and sin of its yaw;
+    closing of the gripper, times 3; its contact
+    each cube: x y z like the end effector, quaternion w x y z, cos and sin of its yaw
+    each button: state, one-hot (2); height, times 120; velocity
     drawer, times 18, and its velocity; window, times 15, and its velocity
 """
 
@@ -24,7 +24,7 @@ from playlearn.store.npz import Rows, members
 
 FPS = 20.0
 WIDEST = 0.085  # meters between the fingers
-ROBOT, CUBE, BUTTON, SLIDES = 19, 9, 4, 4  # numbers of OGBench's observation
+ROBOT, CUBE, BUTTON, SLIDES = 19, 9, 4, 4  # dimensions of each part of OGBench's observation
 BUTTONS = 2
 STATE_NAMES = (
     *("eef.x", "eef.y", "eef.z", "eef.c", "eef.s", "gripper.opening", "gripper.contact"),
@@ -34,7 +34,7 @@ STATE_NAMES = (
 ACTION_NAMES = ("dx", "dy", "dz", "dyaw", "gripper")
 _CENTER, _SCALE = np.array([0.425, 0.0, 0.0]), 10.0
 _UP, _DRAWER, _WINDOW = 120.0, 18.0, 15.0
-# Of its scene, meters: the buttons' tops when up; drawer's and window's handle at 0, and along which axis it goes.
+# Of its scene, meters: tops of the released buttons; handles of drawer and window when closed, and their axes.
 _TOPS = ((0.58, -0.0500616, 0.1254), (0.58, 0.0499417, 0.1212))
 _HANDLES = (((0.3302867, -0.2400002, 0.08), (-0.0015927, -0.9999987, 0.0)), ((0.286, 0.225, 0.237), (1.0, 0.0, 0.0)))
 _ARRAYS = ("observations", "actions", "terminals")
@@ -42,7 +42,11 @@ _ARRAYS = ("observations", "actions", "terminals")
 
 @dataclass(frozen=True)
 class _Kind:
-    """cubes and whether it is the scene, told from the widths of the arrays."""
+    """The environment of a dataset, inferred from the widths of its arrays.
+
+    cubes: how many.
+    scene: whether it is the scene with drawer, window and buttons.
+    """
 
     cubes: int
     scene: bool
@@ -56,7 +60,7 @@ class _Kind:
         names = [f"block_{i}.{part}" for i in range(self.cubes) for part in ("x", "y", "z", "c", "s")]
         if self.scene:
             names += [f"button_{i}.{part}" for i in range(BUTTONS) for part in ("x", "y", "z", "on")]
-            names += [f"{thing}.{axis}" for thing in ("drawer", "window") for axis in ("x", "y", "z")]
+            names += [f"{fixture}.{axis}" for fixture in ("drawer", "window") for axis in ("x", "y", "z")]
         return tuple(names)
 
 
@@ -64,21 +68,21 @@ class OgbenchFile:
     """`Recordings` of one .npz."""
 
     def __init__(self, path: Path) -> None:
-        """Reads where episodes end, and no more.
+        """Reads only where episodes end.
 
         Raises:
-            StoreError: it is no such file, or of a world that is not known here.
+            StoreError: it is not such a file, or of an unknown environment.
         """
-        self._path, there = path, members(path)
+        self._path, present = path, members(path)
         with Rows(path, ["terminals"]) as rows:
             terminals = np.asarray(rows.take(rows.length)["terminals"]).reshape(-1)
-        kept = [name for name in ("qpos", "qvel", "button_states") if name in there]
+        kept = [name for name in ("qpos", "qvel", "button_states") if name in present]
         self._arrays = [*_ARRAYS, *kept]
         with Rows(path, self._arrays) as rows:
             self._kind = _kind(path, rows)
         ends = np.flatnonzero(terminals) + 1
         if not len(ends) or ends[-1] != len(terminals):
-            raise StoreError(f"{path}: its last row does not end an episode: it is not whole; fetch it again")
+            raise StoreError(f"{path}: its last row does not end an episode: it is incomplete; fetch it again")
         self._bounds = np.concatenate([[0], ends])
         self.splits: Mapping[str, Sequence[int]] = {}
         self.spec = StoreSpec(self._kind.environment, STATE_NAMES, self._kind.achieved_names, ACTION_NAMES, FPS)
@@ -89,7 +93,7 @@ class OgbenchFile:
 
     def problems(self) -> Mapping[int, str]:
         short = np.flatnonzero(np.diff(self._bounds) < 2).tolist()
-        return {k: f"{self._path}: {self.names()[k]}: an episode needs an action, and has none" for k in short}
+        return {k: f"{self._path}: {self.names()[k]}: an episode needs an action, and this one has none" for k in short}
 
     def read(self, numbers: Sequence[int]) -> Iterator[tuple[int, Episode | StoreError]]:
         with Rows(self._path, self._arrays) as rows:
@@ -104,9 +108,9 @@ class OgbenchFile:
                     yield number, StoreError(f"{self._path}: rows {begin} to {end - 1}: {error}")
 
     def _episode(self, rows: Mapping[str, Array], number: int) -> Episode:
-        seen = np.asarray(rows["observations"], np.float64)
+        observed = np.asarray(rows["observations"], np.float64)
         action = np.array(rows["actions"][:-1], np.float32)
-        kept = [np.asarray(rows[name], np.float64).reshape(len(seen), -1) for name in self._arrays[len(_ARRAYS) :]]
+        kept = [np.asarray(rows[name], np.float64).reshape(len(observed), -1) for name in self._arrays[len(_ARRAYS) :]]
         meta = EpisodeMeta(
             environment=self.spec.environment,
             state_names=self.spec.state_names,
@@ -118,69 +122,71 @@ class OgbenchFile:
         )
         return Episode(
             meta=meta,
-            state=robot(seen),
-            achieved=self._objects(seen).astype(np.float32),
-            sim_state=np.concatenate([np.zeros((len(seen), 0)), *kept], axis=1),
-            time=np.arange(len(seen)) / FPS,
+            state=robot(observed),
+            achieved=self._objects(observed).astype(np.float32),
+            sim_state=np.concatenate([np.zeros((len(observed), 0)), *kept], axis=1),
+            time=np.arange(len(observed)) / FPS,
             action=action,
             expert_action=action.copy(),
             intervention=np.zeros(len(action), np.bool_),
             skill=np.zeros(len(action), np.int16),
         )
 
-    def _objects(self, seen: Array) -> Array:
-        """(T+1, G) of OGBench's observations (T+1, D)."""
-        cubes = [cube(seen[:, at : at + CUBE]) for at in ROBOT + CUBE * np.arange(self._kind.cubes)]
+    def _objects(self, observed: Array) -> Array:
+        """Achieved goals (T+1, G) from OGBench's observations (T+1, D)."""
+        cubes = [cube(observed[:, at : at + CUBE]) for at in ROBOT + CUBE * np.arange(self._kind.cubes)]
         if not self._kind.scene:
             return np.concatenate(cubes, axis=1)
         at = ROBOT + CUBE * self._kind.cubes
         parts = [*cubes]
         for i, top in enumerate(_TOPS):
-            own = seen[:, at + BUTTON * i : at + BUTTON * (i + 1)]
-            place = np.tile(top, (len(seen), 1))
+            own = observed[:, at + BUTTON * i : at + BUTTON * (i + 1)]
+            place = np.tile(top, (len(observed), 1))
             place[:, 2] += own[:, 2] / _UP
             parts += [place, own[:, 1:2]]
-        slides = seen[:, at + BUTTON * BUTTONS :]
+        slides = observed[:, at + BUTTON * BUTTONS :]
         for (shut, axis), position in zip(_HANDLES, (slides[:, 0] / _DRAWER, slides[:, 2] / _WINDOW), strict=True):
             parts.append(np.array(shut) + position[:, None] * np.array(axis))
         return np.concatenate(parts, axis=1)
 
 
-def robot(seen: Array) -> Array:
-    """(T+1, 19) float32 in our order and SI units, of OGBench's observations (T+1, D)."""
-    hand = seen[:, 12:15] / _SCALE + _CENTER
-    opening = WIDEST * (1.0 - seen[:, 17:18] / 3.0)
-    told: Array = np.concatenate([hand, seen[:, 15:17], opening, seen[:, 18:19], seen[:, :12]], axis=1)
-    return told.astype(np.float32)
+def robot(observed: Array) -> Array:
+    """State (T+1, 19) float32 in our order and SI units, from OGBench's observations (T+1, D)."""
+    position = observed[:, 12:15] / _SCALE + _CENTER
+    opening = WIDEST * (1.0 - observed[:, 17:18] / 3.0)
+    values: Array = np.concatenate(
+        [position, observed[:, 15:17], opening, observed[:, 18:19], observed[:, :12]], axis=1
+    )
+    return values.astype(np.float32)
 
 
-def cube(seen: Array) -> Array:
-    """(T+1, 5) x y z and (cos, sin)(4 yaw), however it lies (see `playlearn.envs.pieces.env.yaw_code`)."""
-    w, x, y, z = (seen[:, 3:7] / np.linalg.norm(seen[:, 3:7], axis=1, keepdims=True)).T
+def cube(observed: Array) -> Array:
+    """(T+1, 5) x y z and (cos, sin)(4 yaw), in any orientation (see `playlearn.envs.pieces.env.yaw_code`)."""
+    w, x, y, z = (observed[:, 3:7] / np.linalg.norm(observed[:, 3:7], axis=1, keepdims=True)).T
     axes = [  # each of its axes, in the plane
         (1 - 2 * (y * y + z * z)) + 2j * (x * y + w * z),
         2 * (x * y - w * z) + 1j * (1 - 2 * (x * x + z * z)),
         2 * (x * z + w * y) + 2j * (y * z - w * x),
     ]
     code = 0.5 * np.sum([axis**4 for axis in axes], axis=0)
-    told: Array = np.concatenate([seen[:, :3] / _SCALE + _CENTER, np.stack([code.real, code.imag], axis=1)], axis=1)
-    return told
+    values: Array = np.concatenate(
+        [observed[:, :3] / _SCALE + _CENTER, np.stack([code.real, code.imag], axis=1)], axis=1
+    )
+    return values
 
 
 def _kind(path: Path, rows: Rows) -> _Kind:
     width, switches = rows.shapes["observations"], rows.shapes.get("button_states")
     if len(width) == 3:
-        raise StoreError(
-            f"{path} holds images: of OGBench's datasets those of states are imported, not `visual-*` ones"
-        )
+        raise StoreError(f"{path} holds images: import OGBench's state datasets, not `visual-*` ones")
     if rows.shapes["actions"] != (len(ACTION_NAMES),) or len(width) != 1:
         raise StoreError(
             f"{path}: observations of {width} and actions of {rows.shapes['actions']} are not those of a manipulation "
-            "world; `cube-*` and `scene-*` can be imported"
+            "environment; `cube-*` and `scene-*` can be imported"
         )
-    cubes, more = divmod(width[0] - ROBOT, CUBE)
-    if switches is None and not more and 1 <= cubes <= 4:
+    cubes, rest = divmod(width[0] - ROBOT, CUBE)
+    if switches is None and not rest and 1 <= cubes <= 4:
         return _Kind(cubes, scene=False)
     if switches == (BUTTONS,) and width[0] == ROBOT + CUBE + BUTTONS * BUTTON + SLIDES:
         return _Kind(1, scene=True)
-    raise StoreError(f"{path}: {width[0]} numbers an observation are neither those of a cube world nor of the scene")
+    raise StoreError(f"{path}: {width[0]} dimensions of an observation match neither a cube environment nor the scene")

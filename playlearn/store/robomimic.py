@@ -1,7 +1,7 @@
 """Import of robomimic's HDF5 (Mandlekar et al., 2021, arXiv:2108.03298): low-dimensional or with images.
 
-A demonstration has T actions and the T observations before them; what the last action led to is not there, so an
-episode has its first T - 1 actions. Numbers keep robomimic's names: `robot0_eef_pos.x`, `object.3`.
+A demonstration has T actions and the T observations before them. The observation after the last action is missing, so
+an episode has the first T - 1 actions. Dimensions keep robomimic's names: `robot0_eef_pos.x`, `object.3`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,26 +11,39 @@ from typing import Any
 
 import numpy as np
 
-from playlearn.config import nearest, to_dict
+from playlearn.config import nearest
 from playlearn.episode import Array, Episode, EpisodeMeta
 from playlearn.errors import StoreError, UsageError
-from playlearn.store.base import StoreSpec
-from playlearn.store.hdf5 import Demonstrations, chosen, dataset, demonstrations, described, masks, opened
+from playlearn.store.base import StoreSpec, plain
+from playlearn.store.hdf5 import (
+    Demonstrations,
+    dataset,
+    demonstration_names,
+    json_attribute,
+    mask_members,
+    masks,
+    open_hdf5,
+)
 
-FPS = 20.0  # robosuite's own, where a file does not say
+FPS = 20.0  # robosuite's default, for files that do not state it
 ACTIONS = ("dx", "dy", "dz", "droll", "dpitch", "dyaw", "gripper")  # robosuite's OSC_POSE
-_BODY = ("eef_pos", "eef_quat", "gripper_qpos")
+_PROPRIO = ("eef_pos", "eef_quat", "gripper_qpos")
 _PARTS = {"pos": ("x", "y", "z"), "quat": ("qx", "qy", "qz", "qw")}
-IMAGE, WON = "_image", "success"  # how a camera's key ends, and how an episode that was rewarded does
+IMAGE = "_image"  # suffix of a camera's key
+SUCCESS = "success"  # how an episode ends that was rewarded
 
 
 @dataclass(frozen=True)
 class RobomimicConfig:
-    """state, achieved: keys of `obs` that tell of the robot, and of what goals speak (null: see `_keys`).
+    """How a file of robomimic is imported.
 
-    cameras: names without their `_image` (null: all). mask: import only what is under this one. heldout: the mask
-    that training holds out; where it names none of the imported, or all, they are held out by their numbers as any
-    play is. fps: control steps a second (null: as the file says, else 20).
+    state: keys of `obs` with the robot's proprioception (null: see `_keys`).
+    achieved: keys of `obs` with the objects that goals are about (null: see `_keys`).
+    cameras: names without their suffix `_image` (null: all).
+    mask: import only the demonstrations of this mask (null: all).
+    val_mask: mask of the validation split; if it names none or all of the imported demonstrations, they are split by
+        their numbers like any play.
+    fps: control steps a second (null: as the file says, else 20).
     """
 
     state: tuple[str, ...] | None = None
@@ -40,49 +53,62 @@ class RobomimicConfig:
     val_mask: str = "valid"
     fps: float | None = None
 
+    def build(self, path: Path) -> "RobomimicFile":
+        return RobomimicFile(path, self.state, self.achieved, self.cameras, self.mask, self.val_mask, self.fps)
+
 
 class RobomimicFile(Demonstrations):
     """`Recordings` of one file; it is open only while it is read."""
 
-    def __init__(self, path: Path, config: RobomimicConfig | None = None) -> None:
-        """Looks at every demonstration's shapes, and reads none.
+    def __init__(
+        self,
+        path: Path,
+        state: tuple[str, ...] | None = None,
+        achieved: tuple[str, ...] | None = None,
+        cameras: tuple[str, ...] | None = None,
+        mask: str | None = None,
+        val_mask: str = "valid",
+        fps: float | None = None,
+    ) -> None:
+        """Checks the shapes of every demonstration, and reads none; arguments as in `RobomimicConfig`.
 
         Raises:
-            StoreError: it is no such file, or nothing in it can be told from anything else.
-            UsageError: a key, camera or mask that was asked for is not there.
+            StoreError: it is not such a file, or has no observations.
+            UsageError: a key, camera or mask is missing in it.
         """
-        self._path, config = path, config or RobomimicConfig()
-        with opened(path) as file:
-            names = demonstrations(file, path)
+        self._path = path
+        with open_hdf5(path) as file:
+            names = demonstration_names(file, path)
             self.splits: Mapping[str, Sequence[int]] = masks(file, path, names)
-            wanted = chosen(config.mask, self.splits, path)
+            wanted = mask_members(mask, self.splits, path)
             self._names = {number: name for number, name in names.items() if wanted is None or number in wanted}
-            out = self._names.keys() & set(self.splits.get(config.val_mask, ()))
-            self._out = out if out != self._names.keys() else set()
-            arguments = described(file["data"], "env_args")
+            val = self._names.keys() & set(self.splits.get(val_mask, ()))
+            self._val = val if val != self._names.keys() else set()
+            arguments = json_attribute(file["data"], "env_args")
             first = file["data"][next(iter(self._names.values()))]
-            self._state, self._achieved, self._cameras = _keys(first, path, config)
+            self._state, self._achieved, self._cameras = _keys(first, path, state, achieved, cameras)
             self._layout = {key: dataset(first, key).shape[1:] for key in self._all()}
             kwargs = arguments.get("env_kwargs") or {}
             name = str(arguments.get("env_name", "unknown"))
-            self._problems = {number: words for number in self._names if (words := self._wrong(file, number))}
-        fps = float(config.fps or kwargs.get("control_freq") or FPS)
+            self._problems = {number: problem for number in self._names if (problem := self._problem(file, number))}
         actions = int(self._layout["actions"][0])
         self.spec = StoreSpec(
             environment={"type": f"robomimic:{name}", "env_args": arguments},
             state_names=self._parts(self._state),
             achieved_names=self._parts(self._achieved),
             action_names=ACTIONS if actions == len(ACTIONS) else tuple(f"action.{k}" for k in range(actions)),
-            fps=fps,
+            fps=float(fps or kwargs.get("control_freq") or FPS),
             cameras={camera: self._layout[key][:2] for camera, key in self._cameras.items()},
         )
-        self.note = {"format": "robomimic", "source": path.name, "bytes": path.stat().st_size} | to_dict(config)
+        settings = {"state": state, "achieved": achieved, "cameras": cameras, "mask": mask, "val_mask": val_mask}
+        note = {"format": "robomimic", "source": path.name, "bytes": path.stat().st_size, **settings, "fps": fps}
+        self.note = plain(note)
 
     def _all(self) -> list[str]:
         return ["actions", *(f"obs/{key}" for key in (*self._state, *self._achieved)), *self._cameras.values()]
 
-    def _wrong(self, file: Any, number: int) -> str | None:
-        """Why a demonstration does not fit the first one, None where it does."""
+    def _problem(self, file: Any, number: int) -> str | None:
+        """Why a demonstration does not match the first one; None if it does."""
         group, name = file["data"][self._names[number]], f"{self._path}: {self._names[number]}"
         try:
             found = {key: dataset(group, key) for key in self._all()}
@@ -115,7 +141,7 @@ class RobomimicFile(Demonstrations):
 
         action = np.asarray(dataset(group, "actions")[:steps], np.float32)
         states = np.asarray(dataset(group, "states"), np.float64) if "states" in group else np.zeros((steps + 1, 0))
-        won = "rewards" in group and bool((plain := np.asarray(dataset(group, "rewards"))).size and plain.max() > 0)
+        success = "rewards" in group and bool((plain := np.asarray(dataset(group, "rewards"))).size and plain.max() > 0)
         meta = EpisodeMeta(
             environment=self.spec.environment,
             state_names=self.spec.state_names,
@@ -125,8 +151,8 @@ class RobomimicFile(Demonstrations):
             seed=number,
             actor="demonstrator",
             cameras={camera: {"height": h, "width": w} for camera, (h, w) in self.spec.cameras.items()},
-            ended=WON if won else "length",
-            split=("val" if number in self._out else "train") if self._out else "",
+            ended=SUCCESS if success else "length",
+            split=("val" if number in self._val else "train") if self._val else "",
         )
         return Episode(
             meta=meta,
@@ -142,34 +168,40 @@ class RobomimicFile(Demonstrations):
         )
 
 
-def _keys(group: Any, path: Path, config: RobomimicConfig) -> tuple[tuple[str, ...], tuple[str, ...], dict[str, str]]:
-    """Keys of the state, of what is achieved, and camera -> key of its images, as they are in the first demonstration.
+def _keys(
+    group: Any,
+    path: Path,
+    state: tuple[str, ...] | None,
+    achieved: tuple[str, ...] | None,
+    cameras: tuple[str, ...] | None,
+) -> tuple[tuple[str, ...], tuple[str, ...], dict[str, str]]:
+    """Keys of the state, keys of the achieved goal, and camera -> key of its images, read from one demonstration.
 
-    By default the state is each robot's hand and gripper, or all that is named after a robot where those are not
-    there; achieved is `object`, or all other vectors where that is not there.
+    Default state: each robot's end effector and gripper, or every key named after a robot if those are missing.
+    Default achieved goal: `object`, or all other vectors if it is missing.
     """
     if "obs" not in group:
         raise StoreError(
-            f"{path} has no observations, only states of the simulator: import it with `playlearn import robosuite`, "
+            f"{path} has no observations, only simulator states: import it with `playlearn import robosuite`, "
             "or let robomimic's dataset_states_to_obs.py observe it first"
         )
     shapes = {key: dataset(group["obs"], key) for key in group["obs"]}
     images = {key.removesuffix(IMAGE): f"obs/{key}" for key, one in shapes.items() if _is_image(one)}
     vectors = [key for key, one in shapes.items() if one.ndim in (1, 2) and np.issubdtype(one.dtype, np.number)]
     robots = [key for key in vectors if key.startswith("robot")]
-    hands = [key for key in robots if key.partition("_")[2] in _BODY]
-    things = ["object"] if "object" in vectors else [key for key in vectors if key not in robots]
-    for what, asked, known in (
-        ("state", config.state, vectors),
-        ("achieved", config.achieved, vectors),
-        ("cameras", config.cameras, list(images)),
+    proprio = [key for key in robots if key.partition("_")[2] in _PROPRIO]
+    objects = ["object"] if "object" in vectors else [key for key in vectors if key not in robots]
+    for what, wanted, known in (
+        ("state", state, vectors),
+        ("achieved", achieved, vectors),
+        ("cameras", cameras, list(images)),
     ):
-        for key in asked or ():
+        for key in wanted or ():
             if key not in known:
                 raise UsageError(f"{what}: {path} has no {key!r} in its observations{nearest(key, known)}")
-    cameras = {name: images[name] for name in (config.cameras if config.cameras is not None else images)}
-    state = tuple(hands or robots) if config.state is None else config.state
-    return state, tuple(things) if config.achieved is None else config.achieved, cameras
+    state = tuple(proprio or robots) if state is None else state
+    achieved = tuple(objects) if achieved is None else achieved
+    return state, achieved, {name: images[name] for name in (images if cameras is None else cameras)}
 
 
 def _is_image(one: Any) -> bool:

@@ -1,13 +1,13 @@
 """A store as robomimic's HDF5 (Mandlekar et al., 2021, arXiv:2108.03298), which its own `SequenceDataset` reads.
 
-    data/demo_7/actions   (T, A)   the labels        obs/robot0_state   (T, S)          the robot's own body
+    data/demo_7/actions   (T, A)   the labels        obs/robot0_state   (T, S)          proprioception
                /states    (T, N)                     obs/object         (T, G)          achieved: objects and fixtures
                /rewards   (T,)     1 at success      obs/<camera>_image (T, h, w, 3)
                /dones     (T,)     1 at the end      next_obs/...       the same, one step later
-    mask/train, mask/valid                           what training learns from, and what it holds out
+    mask/train, mask/valid                           training and validation split
 
-A demonstration bears its episode's number. Of each recording that `playlearn import robomimic` reads again, the last
-action is missing, for it reads `obs` only; what each number means stands in `env_args`, where robomimic passes it on.
+A demonstration has its episode's number. `playlearn import robomimic` drops the last action of each recording, as it
+reads `obs` only. The names of all dimensions are in `env_args`, which robomimic passes on.
 """
 
 import json
@@ -21,12 +21,12 @@ from playlearn.config.record import sync_folder
 from playlearn.episode import Array, Episode
 from playlearn.errors import StoreError
 from playlearn.store.base import Store, plain
-from playlearn.store.hdf5 import library
-from playlearn.store.lerobot.content import REACHED
-from playlearn.store.robomimic import IMAGE, WON, RobomimicFile
+from playlearn.store.hdf5 import import_h5py
+from playlearn.store.lerobot.content import SUCCEEDED
+from playlearn.store.robomimic import IMAGE, SUCCESS, RobomimicFile
 
 STATE, ACHIEVED = "robot0_state", "object"
-GYM = 2  # robomimic's number for environments that it does not make itself
+GYM = 2  # robomimic's type of an environment that it does not build itself
 
 
 def export_robomimic(
@@ -35,7 +35,7 @@ def export_robomimic(
     masks: Mapping[str, Sequence[int]],
     progress: Callable[[int], None] = lambda done: None,
 ) -> None:
-    """Write a store to the file `out`: built beside it, looked through, and only then put there.
+    """Write a store to the file `out`: written beside it, checked, then moved there.
 
     masks: name -> numbers of its episodes (as in `store.indices()`).
 
@@ -44,7 +44,7 @@ def export_robomimic(
         StoreError: `out` is taken, there is nothing to write, or the disk is full.
     """
     if out.exists():
-        raise StoreError(f"{out} is there already: remove it to write it anew, or name another file")
+        raise StoreError(f"{out} already exists: remove it, or name another file")
     if not len(store):
         raise StoreError(f"{store.name()} holds no episodes: there is nothing to export")
     short = [int(i) for i, steps in zip(store.indices(), store.lengths(), strict=True) if steps < 2]
@@ -54,7 +54,7 @@ def export_robomimic(
     building.unlink(missing_ok=True)  # of an export that was killed
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        with library().File(building, "w") as file:
+        with import_h5py().File(building, "w") as file:
             data = file.create_group("data")
             data.attrs["total"] = int(store.lengths().sum())
             data.attrs["env_args"] = json.dumps(_environment(store))
@@ -73,7 +73,7 @@ def export_robomimic(
 
 
 def _environment(store: Store) -> dict[str, Any]:
-    """`env_args`. control_freq is where robosuite's worlds say it, and where our importer looks."""
+    """`env_args`; `control_freq` has the place that robosuite gives it and our importer expects."""
     spec = store.spec
     names = {"state": spec.state_names, "achieved": spec.achieved_names, "action": spec.action_names}
     return {
@@ -91,26 +91,28 @@ def _write(group: Any, episode: Episode) -> None:
     group["states"] = episode.sim_state[:steps]
     group["dones"] = ends.astype(np.int64)
     meta = episode.meta
-    won = meta.ended == WON or bool(meta.task and meta.ended == REACHED)  # play without a task has nothing to win
-    group["rewards"] = (ends & won).astype(np.float64)
-    seen = {STATE: episode.state, ACHIEVED: episode.achieved}
-    for key, value in seen.items():
+    success = meta.ended == SUCCESS or bool(meta.task and meta.ended == SUCCEEDED)  # play without a task has no success
+    group["rewards"] = (ends & success).astype(np.float64)
+    observed = {STATE: episode.state, ACHIEVED: episode.achieved}
+    for key, value in observed.items():
         if value.shape[1]:
-            _both(group, key, value)
+            _write_observation(group, key, value)
     for camera, frames in episode.images.items():
-        # A chunk a frame: robomimic reads single moments, in no order.
-        _both(group, camera + IMAGE, frames, chunks=(1, *frames.shape[1:]), compression="gzip", compression_opts=1)
+        # One chunk a frame: robomimic reads single frames in random order.
+        _write_observation(
+            group, camera + IMAGE, frames, chunks=(1, *frames.shape[1:]), compression="gzip", compression_opts=1
+        )
 
 
-def _both(group: Any, key: str, value: Array, **how: Any) -> None:
-    """What is seen before each action, and after it."""
+def _write_observation(group: Any, key: str, value: Array, **how: Any) -> None:
+    """The observations before and after each action."""
     group.create_dataset(f"obs/{key}", data=value[:-1], **how)
     group.create_dataset(f"next_obs/{key}", data=value[1:], **how)
 
 
 def _check(path: Path, store: Store) -> None:
-    """Raises StoreError where what was written is not what another would import."""
+    """Raises StoreError if the file does not read back as it was written."""
     made = RobomimicFile(path)
     problems = made.problems()
     if list(made.names()) != sorted(store.indices().tolist()) or problems:
-        raise StoreError(f"what was written reads back otherwise ({problems}): please report this as a bug")
+        raise StoreError(f"what was written reads back differently ({problems}): please report this as a bug")

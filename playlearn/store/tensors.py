@@ -21,7 +21,7 @@ from playlearn.config import atomic_write
 from playlearn.episode import Array
 from playlearn.errors import StoreError
 
-TEMPORARY = ".tmp"  # how `atomic_write` ends the name of what is not yet whole
+TEMPORARY = ".tmp"  # suffix that `atomic_write` gives to an unfinished file
 _DTYPES = {
     "F64": "float64",
     "F32": "float32",
@@ -33,12 +33,24 @@ _DTYPES = {
 }
 _CODES = {name: code for code, name in _DTYPES.items()}
 _CHUNK = 1 << 22
-DAMAGED = (ValueError, KeyError, TypeError, IndexError, AttributeError, ArithmeticError)  # by JSON that is not ours
+DAMAGED = (
+    ValueError,
+    KeyError,
+    TypeError,
+    IndexError,
+    AttributeError,
+    ArithmeticError,
+)  # raised by JSON that is not ours
 
 
 @dataclass(frozen=True)
 class Slot:
-    """Where one array lies: dtype, shape and the byte it begins at, from the start of the file."""
+    """Where an array is in the file.
+
+    dtype: numpy's name.
+    shape: of the array.
+    offset: first byte, from the start of the file.
+    """
 
     dtype: str
     shape: tuple[int, ...]
@@ -50,7 +62,12 @@ class Slot:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where everything lies. start: the byte at which the arrays begin; size: of the whole file."""
+    """Where all arrays are in the file.
+
+    slots: name -> Slot.
+    start: first byte of the arrays.
+    size: bytes of the whole file.
+    """
 
     slots: Mapping[str, Slot]
     start: int
@@ -59,7 +76,12 @@ class Layout:
 
 @dataclass(frozen=True)
 class Header:
-    """What a file says of itself: metadata, and its layout. raw: the JSON, for the checksum."""
+    """Header of a file.
+
+    metadata: the file's own.
+    raw: the JSON, for the checksum.
+    layout: of the arrays.
+    """
 
     metadata: Mapping[str, str]
     raw: Mapping[str, Any]
@@ -67,12 +89,12 @@ class Header:
 
 
 def write_tensors(path: Path, arrays: Mapping[str, Array], metadata: Mapping[str, str]) -> None:
-    """Write `arrays` to `path` so that a reader finds the whole file or none.
+    """Write `arrays` to `path` atomically: temporary file beside it, fsync, rename, fsync of the folder.
 
-    Temporary beside it, fsync, rename, fsync of the folder. A file of that name is replaced.
+    An existing file of that name is replaced.
 
     Raises:
-        OSError: the disk is full or cannot be written; the temporary is gone, nothing else was touched.
+        OSError: the disk is full or cannot be written; the temporary file is gone, nothing else was changed.
     """
     # Widest numbers first, so that every array begins at a multiple of its own item size.
     ordered = sorted(arrays.items(), key=lambda item: (-item[1].dtype.itemsize, item[0]))
@@ -121,7 +143,7 @@ def read_header(path: Path) -> Header:
 
 
 def map_tensors(path: Path, layout: Layout) -> dict[str, Array]:
-    """Every array as a read-only, memory-mapped view; the mapping lives as long as any view of it."""
+    """Every array as a read-only, memory-mapped view; the mapping lives as long as any view."""
     try:
         with path.open("rb") as file:
             mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
@@ -138,7 +160,7 @@ def map_tensors(path: Path, layout: Layout) -> dict[str, Array]:
 
 
 def checksum_holds(path: Path) -> bool:
-    """Whether every byte is the one that was written. Raises StoreError and OSError where it cannot be read."""
+    """Whether every byte is as written; raises StoreError or OSError if the file cannot be read."""
     header = read_header(path)
     raw = {**header.raw, "__metadata__": {k: v for k, v in header.metadata.items() if k != "sha256"}}
     with path.open("rb") as file:

@@ -1,4 +1,4 @@
-"""Benchmarks that take no time; here alone, so that their process imports nothing else."""
+"""Benchmarks that take no time, in a module of their own so that their process imports nothing else."""
 
 import os
 import time
@@ -8,7 +8,7 @@ from playlearn.bench.base import Figure, Size
 
 
 def two_rows(size: Size) -> Iterator[Figure]:
-    """The second is measured only after somebody has heard the first."""
+    """The second is measured only after the first was received."""
     yield Figure("first", os.getpid(), "process")
     assert size.out is not None
     until = time.monotonic() + 60

@@ -1,4 +1,4 @@
-"""Benchmarks measure what they say; the figures themselves are no test's business."""
+"""Benchmarks measure what their names say; the figures themselves are not tested."""
 
 import json
 import math
@@ -34,7 +34,7 @@ APART = (
 TINY = Size(steps=2, rounds=1, episodes=4, envs=("lift",))
 
 
-@pytest.mark.filterwarnings("ignore")  # what LeRobot and the packages below it warn of is theirs to mend
+@pytest.mark.filterwarnings("ignore")  # what LeRobot and the packages below it warn of is theirs to fix
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else []) for name in sorted(BENCHMARKS)]
 )
@@ -43,7 +43,7 @@ def test_every_figure_is_beside_its_peer_and_its_limit(
 ) -> None:
     size, heard = replace(TINY, out=tmp_path), list[Figure]()
     if name in APART:
-        monkeypatch.delenv("MUJOCO_GL", raising=False)  # as it is for who has drawn nothing yet
+        monkeypatch.delenv("MUJOCO_GL", raising=False)  # as before any rendering
         figures = run([name], size, heard.append)
         assert heard == figures
     else:
@@ -52,9 +52,9 @@ def test_every_figure_is_beside_its_peer_and_its_limit(
     for figure in figures:
         assert math.isfinite(figure.value)
         assert figure.value > 0
-        for other, share in ((figure.peer_value, figure.ratio), (figure.limit_value, figure.of_limit)):
-            assert (other is None) == (share is None)
-            assert other is None or share == pytest.approx(figure.value / other)
+        for other, ratio in ((figure.peer_value, figure.ratio), (figure.limit_value, figure.of_limit)):
+            assert (other is None) == (ratio is None)
+            assert other is None or ratio == pytest.approx(figure.value / other)
         assert figure.line().startswith(figure.name)
     if name == "render":
         alike = [figure for figure in figures if figure.unit == "SSIM"]
@@ -63,7 +63,7 @@ def test_every_figure_is_beside_its_peer_and_its_limit(
         assert {path.name for path in tmp_path.iterdir()} == {"lift.png"}
 
 
-def test_none_measures_before_somebody_asks() -> None:
+def test_nothing_is_measured_before_it_is_requested() -> None:
     for measure in BENCHMARKS.values():
         assert isgenerator(measure(TINY))
 
@@ -85,10 +85,10 @@ def test_batches_are_full_and_go_on_with_the_next_epoch() -> None:
     assert sizes == {reading.EXAMPLES}
 
 
-def test_each_row_is_shown_as_it_is_measured(
+def test_each_figure_is_reported_as_it_is_measured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Across the border of its process, within one benchmark; meanwhile stderr says what is going on."""
+    """Also within one benchmark, across processes; stderr says what is being measured."""
     monkeypatch.setitem(BENCHMARKS, "rows", two_rows)
     shown = run(["rows"], Size(out=tmp_path), lambda _: (tmp_path / "heard").touch())
     assert [figure.name for figure in shown] == ["first", "second"]
@@ -97,7 +97,7 @@ def test_each_row_is_shown_as_it_is_measured(
     assert "bench: rows" in capfd.readouterr().err
 
 
-def test_one_that_breaks_is_told_and_what_it_had_measured_is_shown(
+def test_a_failing_benchmark_is_reported_with_its_earlier_figures(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(BENCHMARKS, "rows", breaks)
@@ -108,7 +108,7 @@ def test_one_that_breaks_is_told_and_what_it_had_measured_is_shown(
     assert "ZeroDivisionError: in the benchmark" in capfd.readouterr().err
 
 
-def test_whoever_stops_listening_leaves_no_process_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stopping_early_leaves_no_process_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(BENCHMARKS, "rows", two_rows)
     processes: list[int] = []
 
@@ -135,7 +135,7 @@ def test_ssim_of_an_image_with_itself_is_one_and_falls_with_what_is_lost() -> No
     assert ssim(image, image[::-1]) < 0.3 < ssim(image, brighter) < 1.0
 
 
-def test_the_same_walk_for_everybody_within_bounds() -> None:
+def test_the_actions_are_the_same_for_all_and_within_bounds() -> None:
     np.testing.assert_array_equal(actions(50), actions(50))
     assert np.abs(actions(200)).max() <= 1
 
@@ -145,9 +145,7 @@ def test_an_unknown_benchmark_is_named_with_the_nearest() -> None:
         run(["rendr"], TINY, lambda _: None)
 
 
-def test_the_command_prints_what_a_program_reads(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_prints_json(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     made = Figure.beside("speed", "m/s", {"ours": 6.0, "peer": 2.0, "limit": 12.0}, "a snail", "light")
     monkeypatch.setattr("playlearn.bench.run", lambda _names, _size, say: (say(made), [made])[1])
     assert main(["bench", "--json"]) == 0

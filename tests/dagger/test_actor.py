@@ -19,7 +19,7 @@ from playlearn.policies import PolicyConfig
 from playlearn.policies.execution import PolicyActor
 from playlearn.policies.heads import DiffusionConfig
 from playlearn.rollout import RandomActor, rollout
-from tests.evaluation.test_evaluate import spec
+from tests.evaluation.parts import spec
 from tests.fakes import PointConfig, PointEnv, PointExpert
 
 torch.set_num_threads(1)

@@ -26,7 +26,7 @@ from playlearn.policies import Policy
 from playlearn.relabeling.final_settled import FinalSettledConfig
 from playlearn.store import NativeStore
 from playlearn.training import TrainConfig, train
-from tests.evaluation.test_evaluate import SUITE, play
+from tests.evaluation.parts import SUITE, play
 from tests.fakes import PointConfig, PointEnv, PointExpert, PointPlayPolicy, point_expert
 from tests.shares import often
 
@@ -97,7 +97,7 @@ def test_what_is_practiced_is_relabeled_by_the_goal_that_was_commanded(run: Path
         assert len(goals) == store.lengths()[position]
         assert all(env.reached(goal, setup.goal.achieved) for goal in goals)
         episode = store.read(position)
-        np.testing.assert_array_equal(episode.sim_state[0], setup.start)
+        np.testing.assert_array_equal(episode.sim_state[0], setup.start_sim_state)
         assert (episode.meta.task, episode.meta.actor) == (setup.task, "dagger")
     assert sum(row.labels for row in records if row.kept) == store.lengths().sum() == len(data)
     assert sum(row.expert_steps for row in records if row.kept) == sum(

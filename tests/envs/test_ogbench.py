@@ -125,7 +125,7 @@ def test_tasks_are_posed_as_ogbench_poses_them(two: Any) -> None:
     for episode in range(8):
         setup = kind.setup(two, None, episode, 0, 500, ())
         again = kind.setup(two, None, episode, 0, 500, ())
-        np.testing.assert_array_equal(setup.start, again.start)
+        np.testing.assert_array_equal(setup.start_sim_state, again.start_sim_state)
         np.testing.assert_array_equal(setup.goal_sim_state, again.goal_sim_state)
         info = two.env.task_infos[episode % 5]
         start, goal = setup.start_achieved.reshape(-1, 5), setup.goal.achieved.reshape(-1, 5)

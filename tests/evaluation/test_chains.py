@@ -1,4 +1,4 @@
-"""Laws of several goals in a row, and of goals in which several things have changed."""
+"""Laws of chains of goals, and of goals in which several objects have changed."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -29,15 +29,15 @@ CHAINS = SuiteConfig(
     success_hold_steps=3,
     num_envs=4,
 )
-FAR = replace(CHAINS, name="point_far", kind=MultiChangeConfig(changes=(1, 2)))
+MULTI_CHANGE = replace(CHAINS, name="point_multi_change", kind=MultiChangeConfig(changes=(1, 2)))
 
 
 @dataclass(frozen=True)
-class Tiring:
-    """Does as the expert does for `goals` goals of a chain, and then nothing."""
+class StopsAfter:
+    """Acts like the expert for `goals` goals of a chain, then not at all."""
 
     goals: int
-    name: str = "tiring"
+    name: str = "stops"
 
     def cameras(self) -> tuple[str, ...]:
         return ()
@@ -45,11 +45,11 @@ class Tiring:
     def describe(self) -> dict[str, Any]:
         return {}
 
-    def build(self, environment: Environment) -> "TiringActor":
-        return TiringActor(self.goals)
+    def build(self, environment: Environment) -> "StoppingActor":
+        return StoppingActor(self.goals)
 
 
-class TiringActor(PointExpert):
+class StoppingActor(PointExpert):
     def __init__(self, goals: int) -> None:
         super().__init__()
         self.left = goals
@@ -66,35 +66,35 @@ class TiringActor(PointExpert):
         return super().act(observations, active)
 
 
-def episode_results(suite: SuiteConfig, contender: Any) -> list[EpisodeResult]:
-    """Of all cohorts, each with an actor of its own."""
-    return [a for cohort in suite.batches() for a in run_batch(suite, cohort, [contender], EXPERT).episode_results]
+def episode_results(suite: SuiteConfig, recipe: Any) -> list[EpisodeResult]:
+    """Of all batches, each with its own actor."""
+    return [row for batch in suite.batches() for row in run_batch(suite, batch, [recipe], EXPERT).episode_results]
 
 
 def test_each_goal_begins_where_the_one_before_ended() -> None:
-    """Nothing is reset: the states join, and every goal differs from all that the chain had been shown before."""
+    """Nothing is reset: each goal starts where the previous one ended, and every goal differs from all earlier ones."""
     env = PointEnv(PointConfig())
     rows = episode_results(CHAINS, EXPERT)
-    assert [(a.episode, a.link) for a in sorted(rows, key=lambda a: (a.episode, a.link))] == [
-        (e, link) for e in range(8) for link in range(5)
+    assert [(row.episode, row.goal_index) for row in sorted(rows, key=lambda row: (row.episode, row.goal_index))] == [
+        (e, goal_index) for e in range(8) for goal_index in range(5)
     ]
-    assert all(a.success and not a.already for a in rows)
+    assert all(row.success and not row.solved_at_start for row in rows)
     for e in range(8):
-        mine = sorted((a for a in rows if a.episode == e), key=lambda a: a.link)
-        shown = [mine[0].start_achieved, *(a.goal_achieved for a in mine)]
+        chain_rows = sorted((row for row in rows if row.episode == e), key=lambda row: row.goal_index)
+        shown = [chain_rows[0].start_achieved, *(row.goal_achieved for row in chain_rows)]
         for k, one in enumerate(shown):
             assert not any(env.reached(np.array(one), np.array(other)) for other in shown[:k])
-        for before, after in pairwise(mine):
+        for before, after in pairwise(chain_rows):
             assert before.final_achieved == after.start_achieved
-        # the world has two kinds of task; the lamp can be lit once, and is before anything is done twice
-        assert sum(a.task == "lamp_on" for a in mine) == 1
-        assert "lamp_on" in {a.task for a in mine[:2]}
+        # the environment has two kinds of task; the lamp can be lit once, and is before any kind is repeated
+        assert sum(row.task == "lamp_on" for row in chain_rows) == 1
+        assert "lamp_on" in {row.task for row in chain_rows[:2]}
 
 
 @pytest.mark.parametrize("goals", [0, 1, 3, 5])
 def test_a_chain_is_as_long_as_the_goals_reached_in_a_row(goals: int) -> None:
-    """Who does nothing after `goals` goals has chains of exactly that length, and no row after the failure."""
-    rows = episode_results(CHAINS, Tiring(goals))
+    """An actor that stops after `goals` goals has chains of exactly that length, and no row after the failure."""
+    rows = episode_results(CHAINS, StopsAfter(goals))
     result = summary(rows)
     assert result["chain"]["length_mean"] == goals
     assert result["chain"]["at_least"] == [1.0] * goals + [0.0] * (5 - goals)
@@ -105,20 +105,33 @@ def test_a_chain_is_as_long_as_the_goals_reached_in_a_row(goals: int) -> None:
     assert 0 <= low <= goals <= high <= 5
 
 
-def test_the_numbers_of_chains() -> None:
+def test_chain_statistics() -> None:
     """Chains of 0, 1, 1 and 3 of 3: mean 1.25; at least one 3 of 4, two 1 of 4, three 1 of 4."""
 
-    def row(episode: int, link: int, success: bool, task: str) -> EpisodeResult:
-        return EpisodeResult("p", episode, task, success, success, 9, "", 0, 0, link=link, links=3, already=link == 2)
+    def row(episode: int, goal_index: int, success: bool, task: str) -> EpisodeResult:
+        return EpisodeResult(
+            "p",
+            episode,
+            task,
+            success,
+            success,
+            9,
+            "",
+            0,
+            0,
+            goal_index=goal_index,
+            num_goals=3,
+            solved_at_start=goal_index == 2,
+        )
 
     rows = [row(0, 0, False, "a"), row(1, 0, True, "a"), row(1, 1, False, "b"), row(2, 0, True, "c")]
-    rows += [row(2, 1, False, "b"), *(row(3, link, True, "abc"[link]) for link in range(3))]
+    rows += [row(2, 1, False, "b"), *(row(3, goal_index, True, "abc"[goal_index]) for goal_index in range(3))]
     numbers = chain(rows)
     assert numbers["length_mean"] == 1.25
     assert numbers["at_least"] == [0.75, 0.25, 0.25]
     assert numbers["at_least_ci95"][0] == pytest.approx([0.301, 0.954], abs=1e-3)  # Wilson, 3 of 4
     assert numbers["ended_by"] == {"b": 2, "a": 1}
-    assert numbers["already"] == pytest.approx(1 / 5)
+    assert numbers["solved_at_start"] == pytest.approx(1 / 5)
     tasks = summary(rows)["tasks"]
     assert {name: (of["episodes"], of["success_rate"]) for name, of in tasks.items()} == {
         "a": (3, 2 / 3),
@@ -127,40 +140,40 @@ def test_the_numbers_of_chains() -> None:
     }
 
 
-def test_every_goal_has_a_budget_of_its_own_and_the_actor_forgets() -> None:
+def test_every_goal_has_its_own_budget_and_the_actor_is_reset() -> None:
     """The expert needs more steps for five goals than one goal may take; it is reset for each."""
     rows = episode_results(CHAINS, EXPERT)
-    assert max(a.steps for a in rows) <= CHAINS.max_steps
-    assert max(sum(a.steps for a in rows if a.episode == e) for e in range(8)) > CHAINS.max_steps
-    actor = TiringActor(1)
+    assert max(row.steps for row in rows) <= CHAINS.max_steps
+    assert max(sum(row.steps for row in rows if row.episode == e) for e in range(8)) > CHAINS.max_steps
+    actor = StoppingActor(1)
 
-    class Given(Tiring):
-        def build(self, environment: Environment) -> TiringActor:
+    class Given(StopsAfter):
+        def build(self, environment: Environment) -> StoppingActor:
             return actor
 
     run_batch(CHAINS, [0, 1, 2], [Given(1)], EXPERT)
-    assert actor.seen == [3, 3], "two goals were attempted by each of three, the second in vain"
+    assert actor.seen == [3, 3], "three episodes attempted two goals each, and failed at the second"
 
 
 def test_a_crash_ends_the_chain_it_happens_in() -> None:
     """Goals reached before it stay reached; the crash is one failure for each chain that was still going."""
 
-    class Crashing(TiringActor):
+    class Crashing(StoppingActor):
         def act(self, observations: Sequence[Observation], active: Sequence[bool]) -> list[Decision]:
             if self.left < 0:
                 raise ZeroDivisionError("division by zero")
             return super().act(observations, active)
 
-    class Crasher(Tiring):
-        def build(self, environment: Environment) -> TiringActor:
+    class Crasher(StopsAfter):
+        def build(self, environment: Environment) -> StoppingActor:
             return Crashing(self.goals)
 
     result = summary(episode_results(CHAINS, Crasher(2)))
     assert (result["chain"]["length_mean"], result["crashed"]) == (2.0, 8)
 
 
-def test_a_goal_that_is_there_already_counts_and_is_counted() -> None:
-    """The judge of a chain is content where everything is as shown, whatever there was to do for it."""
+def test_a_goal_that_is_satisfied_at_the_start_is_reached() -> None:
+    """The judge of a chain is satisfied if everything is as shown, whatever had to be done for it."""
     env = PointEnv(PointConfig())
     judge = ChainsConfig().judge(env, "move_puck")
     here = np.array([0.1, 0.2, 0.0])
@@ -168,37 +181,37 @@ def test_a_goal_that_is_there_already_counts_and_is_counted() -> None:
     assert not judge(here, here, np.array([0.1, 0.5, 0.0]))
 
 
-def test_far_goals_show_every_change_and_have_longer() -> None:
+def test_multi_change_goals_show_every_change_and_have_larger_budgets() -> None:
     """Of two changes both are in the goal: the puck moved and the lamp lit; and there is time for each."""
     env = PointEnv(PointConfig())
     for e in range(8):
-        setup = FAR.kind.setup(env, PointExpert(), e, 0, 60, ())
+        episode = MULTI_CHANGE.kind.setup(env, PointExpert(), e, 0, 60, ())
         changes = 1 + e % 2
-        start, goal = setup.start_achieved, setup.goal.achieved
+        start, goal = episode.start_achieved, episode.goal.achieved
         moved = [np.linalg.norm(start[:2] - goal[:2]) > 0.06, start[2] != goal[2]]
-        assert sum(moved) == changes == setup.made_by.count(",") + 1
-        assert (setup.task, setup.max_steps) == (("1 change", 60), ("2 changes", 120))[e % 2]
-        assert setup.then == ()
+        assert sum(moved) == changes == episode.expert_tasks.count(",") + 1
+        assert (episode.task, episode.max_steps) == (("1 change", 60), ("2 changes", 120))[e % 2]
+        assert episode.next_goals == ()
 
 
-def test_far_goals_are_reached_by_the_expert_and_only_whole() -> None:
-    """Judged on all that is shown, so success is strict success; half of it is none; an idler uses its whole budget."""
-    result = summary(episode_results(FAR, EXPERT))
+def test_multi_change_goals_are_reached_by_the_expert_and_only_completely() -> None:
+    """Success is strict success; half of a goal is none; an idle actor uses its whole budget."""
+    result = summary(episode_results(MULTI_CHANGE, EXPERT))
     assert result["success_rate"] == result["strict_rate"] == 1.0
     assert "chain" not in result
     assert {task: of["episodes"] for task, of in result["tasks"].items()} == {"1 change": 4, "2 changes": 4}
-    judge = FAR.kind.judge(PointEnv(PointConfig()), "2 changes")
+    judge = MULTI_CHANGE.kind.judge(PointEnv(PointConfig()), "2 changes")
     goal = np.array([0.5, 0.5, 1.0])
     assert judge(np.zeros(3), goal, goal)
     assert not judge(np.zeros(3), np.array([0.5, 0.5, 0.0]), goal)
-    idle = episode_results(FAR, Tiring(0))
-    assert {(a.task, a.steps) for a in idle} == {("1 change", 60), ("2 changes", 120)}
-    assert not any(a.success for a in idle)
-    assert {a.reason for a in idle} == {"not reached in 60 steps", "not reached in 120 steps"}
+    idle = episode_results(MULTI_CHANGE, StopsAfter(0))
+    assert {(row.task, row.steps) for row in idle} == {("1 change", 60), ("2 changes", 120)}
+    assert not any(row.success for row in idle)
+    assert {row.reason for row in idle} == {"not reached in 60 steps", "not reached in 120 steps"}
 
 
-@pytest.mark.parametrize("suite", [CHAINS, FAR])
-def test_the_page_and_the_file_say_it(tmp_path: Path, suite: SuiteConfig) -> None:
+@pytest.mark.parametrize("suite", [CHAINS, MULTI_CHANGE])
+def test_page_and_file_have_the_chain(tmp_path: Path, suite: SuiteConfig) -> None:
     path = tmp_path / "suite.yaml"
     path.write_text(yaml.safe_dump(to_dict(replace(suite, episodes=4))))
     out = tmp_path / "out"
@@ -211,17 +224,19 @@ def test_the_page_and_the_file_say_it(tmp_path: Path, suite: SuiteConfig) -> Non
         assert "5.00" in page
 
 
-def test_what_cannot_be_made_is_said() -> None:
+def test_an_impossible_suite_is_refused() -> None:
     env = PointEnv(PointConfig())
-    lamp = ChainsConfig(tasks=("lamp_on",), links=2)
-    with pytest.raises(PlaylearnError, match=r"did not do 2 tasks in a row .* at most 1\. Ask for fewer `kind.links`"):
+    lamp = ChainsConfig(tasks=("lamp_on",), num_goals=2)
+    with pytest.raises(
+        PlaylearnError, match=r"did not do 2 tasks in a row .* at most 1\. Ask for fewer `kind.num_goals`"
+    ):
         lamp.setup(env, PointExpert(), 0, 0, 60, ())
     with pytest.raises(PlaylearnError, match="did not show 2 changes at once"):
         MultiChangeConfig(changes=(2,), tasks=("lamp_on",)).setup(env, PointExpert(), 0, 0, 60, ())
     with pytest.raises(UsageError, match="did you mean `lamp_on`"):
         ChainsConfig(tasks=("lamp_of",)).setup(env, PointExpert(), 0, 0, 60, ())
-    with pytest.raises(UsageError, match=r"kind\.links must be 1 or more"):
-        ChainsConfig(links=0)
+    with pytest.raises(UsageError, match=r"kind\.num_goals must be 1 or more"):
+        ChainsConfig(num_goals=0)
     with pytest.raises(UsageError, match=r"kind\.changes must be numbers of 1 or more"):
         MultiChangeConfig(changes=())
 

@@ -1,4 +1,4 @@
-"""Laws of a diagnosis, in the point world."""
+"""Laws of a diagnosis, in the point environment."""
 
 import json
 from collections import Counter
@@ -14,17 +14,18 @@ from playlearn.config import to_dict
 from playlearn.data import DataConfig
 from playlearn.errors import CheckpointError
 from playlearn.evaluation import MultiChangeConfig, SuiteConfig
-from playlearn.evaluation.diagnosis import _by_time, action_errors, diagnose, format_summary
+from playlearn.evaluation.action_error import action_errors
+from playlearn.evaluation.diagnosis import _by_expert_seconds, diagnose, format_summary
 from playlearn.evaluation.failure_modes import FAILURE_MODES, LEFT, MISSED, NEVER
 from playlearn.evaluation.worker import EpisodeResult
 from playlearn.policies import Policy, PolicyConfig
-from tests.evaluation.test_evaluate import play, spec
+from tests.evaluation.parts import play, spec
 from tests.evaluation.test_failure_modes import CorrectableEnv, HandConfig, hand_expert
 
 torch.set_num_threads(1)
 
 SUITE = SuiteConfig(
-    name="point_far",
+    name="point_multi_change",
     environment=HandConfig(),
     kind=MultiChangeConfig(changes=(1,)),
     episodes=6,
@@ -51,8 +52,8 @@ def suite(folder: Path) -> Path:
     return path
 
 
-def test_every_failure_has_one_cause_and_the_expert_is_asked_too(tmp_path: Path, run: Path) -> None:
-    """Causes are counted once each; the expert can do what the policy was asked for; all of it is written down."""
+def test_every_failure_has_one_mode_and_the_expert_is_evaluated_too(tmp_path: Path, run: Path) -> None:
+    """Each failure is counted once; the expert reaches the policy's goals; everything is written."""
     results = diagnose(run, suite(tmp_path), tmp_path / "out", goal="state", workers=0, expert=hand_expert)
     assert json.loads((tmp_path / "out" / "diagnosis.json").read_text()) == results
     failures = results["episodes"] - round(results["success_rate"] * results["episodes"])
@@ -64,7 +65,7 @@ def test_every_failure_has_one_cause_and_the_expert_is_asked_too(tmp_path: Path,
     assert {
         failure_mode: row["count"] for failure_mode, row in results["failure_modes"].items() if row["count"]
     } == dict(named)
-    assert results["failure_modes"][LEFT]["count"] == 0, "an untrained policy never was there"
+    assert results["failure_modes"][LEFT]["count"] == 0, "an untrained policy never reaches a goal"
     assert results["expert"]["success_rate"] == 1.0
     assert sum(row["episodes"] for row in results["by_expert_seconds"]) == 6
     page = (tmp_path / "out" / "diagnosis.html").read_text()
@@ -77,8 +78,8 @@ def test_every_failure_has_one_cause_and_the_expert_is_asked_too(tmp_path: Path,
 
 
 @pytest.mark.slow
-def test_the_error_of_the_skills_is_the_error_of_the_whole(run: Path) -> None:
-    """Weighted by how many examples each has, and of the first action alone; the worst comes first."""
+def test_the_errors_of_the_skills_average_to_the_total_error(run: Path) -> None:
+    """Weighted by how many examples each has, and of the first action alone; the largest comes first."""
     errors = action_errors(run)
     rows = errors["skills"]
     assert sum(row["examples"] for row in rows.values()) == errors["examples"] > 0
@@ -94,7 +95,7 @@ def test_the_error_of_the_skills_is_the_error_of_the_whole(run: Path) -> None:
     assert weighted == pytest.approx(whole, rel=1e-4)
 
 
-def test_what_cannot_be_measured_is_said(tmp_path: Path, run: Path) -> None:
+def test_what_cannot_be_measured_has_a_note(tmp_path: Path, run: Path) -> None:
     other = tmp_path / "run"
     Policy.load(run / "policy").save(other / "policy")
     assert action_errors(other)["note"] == "not measured: the run's play is not there"
@@ -115,7 +116,7 @@ def test_success_by_the_time_that_the_expert_takes() -> None:
 
     its = [row("expert", e, e < 8, 10 * (e + 1)) for e in range(9)]
     mine = [row("policy", e, e < 3, 5) for e in range(9)]
-    bins = _by_time(mine, its, 10.0)
+    bins = _by_expert_seconds(mine, its, 10.0)
     assert [(b["from"], b["to"], b["episodes"]) for b in bins] == [(1, 2, 2), (3, 4, 2), (5, 6, 2), (7, 8, 2)]
     assert [b["success_rate"] for b in bins] == [1.0, 0.5, 0.0, 0.0]
-    assert _by_time(mine, [replace(one, success=False) for one in its], 10.0) == []
+    assert _by_expert_seconds(mine, [replace(one, success=False) for one in its], 10.0) == []

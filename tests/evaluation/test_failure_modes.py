@@ -1,4 +1,4 @@
-"""Each cause of failure, by an actor in the point world that fails in just that way."""
+"""Each failure mode, by a scripted actor in the point environment that fails in that way."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -9,13 +9,13 @@ import pytest
 
 from playlearn.episode import Array, Decision, Goal, Observation
 from playlearn.evaluation import failure_modes
-from playlearn.evaluation.failure_modes import FailureModesConfig, FailureReport, by_grasp, classify_failure
+from playlearn.evaluation.failure_modes import FailureModesConfig, FailureReport, classify_failure, uses_grasp
 from playlearn.rollout import rollout
 from playlearn.sim.environment import Environment, EnvironmentConfig
 from tests.fakes import BUTTON, PointConfig, PointEnv, PointExpert
 
 # A point's stride is 10 cm, so hands are large here; its closed grip reads 0, as an opening should.
-CONFIG = FailureModesConfig(reach=0.2, still=0.05, still_seconds=1.0)
+CONFIG = FailureModesConfig(grasp_radius=0.2, stall_radius=0.05, stall_seconds=1.0)
 START = np.array([0.0, -0.5, -0.5, 0.0, 0.3, 0.0, 0.0, 0.0])  # hand at (-0.5, -0.5), open; puck at (0.3, 0); lamp off
 GOAL = np.array([-0.4, 0.4, 0.0])  # the puck elsewhere, the lamp as it is
 FAR_OFF = np.array([-1.0, -1.0])
@@ -30,7 +30,7 @@ class HandConfig(PointConfig):
 
 
 class CorrectableEnv(PointEnv):
-    """The point world in the words of a robot arm."""
+    """The point environment with the state names of a robot arm."""
 
     spec = replace(PointEnv.spec, state_names=("eef.x", "eef.y", "gripper.opening"))
 
@@ -41,7 +41,7 @@ class CorrectableEnv(PointEnv):
 
 
 class HandExpert(PointExpert):
-    """The point world's expert, in these words."""
+    """The point environment's expert, with these state names."""
 
     def act(self, observations: Sequence[Observation], active: Sequence[bool]) -> list[Decision]:
         return super().act([replace(o, state=np.array([*o.state[:2], 1.0 - o.state[2]])) for o in observations], active)
@@ -56,7 +56,7 @@ Stop = tuple[Any, float]  # where to, (2,) or "puck"; grip
 
 @dataclass
 class Script:
-    """Goes from stop to stop, each once the one before is reached; then on between the last two, or stays."""
+    """Moves from stop to stop; then back and forth between the last two, or stays."""
 
     stops: list[Stop]
     wander: bool = True
@@ -91,10 +91,10 @@ def found(script: Script, steps: int = 60, goal: Array = GOAL) -> FailureReport:
     outcome = rollout([env], script, [shown], seeds=[0], max_steps=steps)[0]
     assert outcome.episode is not None
     achieved = outcome.episode.achieved
-    content = np.array([env.reached(row, goal) for row in achieved])
-    lasted = np.convolve(content, np.ones(HOLD), "valid").max() >= HOLD
+    success = np.array([env.reached(row, goal) for row in achieved])
+    lasted = np.convolve(success, np.ones(HOLD), "valid").max() >= HOLD
     assert not lasted, "this script is to fail"
-    return classify_failure(env, achieved, outcome.episode.state, goal, content, outcome.ended != "length", CONFIG)
+    return classify_failure(env, achieved, outcome.episode.state, goal, success, outcome.ended != "length", CONFIG)
 
 
 def grasp() -> list[Stop]:
@@ -117,59 +117,59 @@ CASES: dict[str, tuple[Callable[[], Script], Array]] = {
 
 
 @pytest.mark.parametrize("failure_mode", failure_modes.FAILURE_MODES)
-def test_each_way_of_failing_is_known_by_its_name(failure_mode: str) -> None:
-    """All that is registered, so that no cause is without an actor that fails so."""
+def test_each_failure_mode_is_recognized(failure_mode: str) -> None:
+    """All registered modes, so that none lacks an actor that fails in that way."""
     script, goal = CASES[failure_mode]
     result = found(script(), goal=goal)
     assert result.failure_mode == failure_mode
-    assert result.asked == ("puck",)
+    assert result.targets == ("puck",)
     assert (result.stalled_from is not None) == (failure_mode == failure_modes.STALLED)
 
 
-def test_what_is_counted_beside_the_cause() -> None:
-    """The grasps at the puck and those it went along with, how near the hand came, when it stopped."""
+def test_what_is_measured_beside_the_mode() -> None:
+    """Attempted and successful grasps of the puck, the smallest distance, and when the end effector stopped."""
     dropped, missed, stalled = (
         found(CASES[c][0]()) for c in (failure_modes.DROPPED, failure_modes.MISSED, failure_modes.STALLED)
     )
-    assert (dropped.grasps, dropped.caught, dropped.holding) == (1, 1, False)
-    assert (missed.grasps, missed.caught) == (1, 0)
-    assert missed.off == pytest.approx(0.15, abs=0.01)
+    assert (dropped.grasp_attempts, dropped.grasps_held, dropped.holding) == (1, 1, False)
+    assert (missed.grasp_attempts, missed.grasps_held) == (1, 0)
+    assert missed.grasp_distance == pytest.approx(0.15, abs=0.01)
     assert found(CASES[failure_modes.SHORT][0]()).holding
-    assert stalled.closest == pytest.approx(0.15, abs=0.01)
+    assert stalled.min_distance == pytest.approx(0.15, abs=0.01)
     # 0.8 m along x at 1 m/s; it is within 5 cm of where it stays half a step before
     assert stalled.stalled_from == pytest.approx(0.8, abs=0.11)
 
 
 def test_a_pause_is_no_stall() -> None:
-    """It is one only where it lasts to the end, and as long as it is said to."""
+    """It is one only if it lasts to the end, and long enough."""
     script, _ = CASES[failure_modes.STALLED]
     assert found(script(), steps=16).failure_mode == failure_modes.NEVER, "0.8 s of rest where 1 s is asked"
     assert found(script(), steps=20).failure_mode == failure_modes.STALLED
 
 
 def test_a_closing_elsewhere_is_no_missed_grasp() -> None:
-    """Without reach for it, the same closing as in the missed grasp is none at the puck."""
+    """With a smaller grasp radius, the closing of the missed grasp is no attempt at the puck."""
     env = CorrectableEnv(HandConfig())
     env.set_state(START)
     script = CASES[failure_modes.MISSED][0]()
     episode = rollout([env], script, [Goal(np.asarray(GOAL, np.float32))], seeds=[0], max_steps=60)[0].episode
     assert episode is not None
     quiet = np.zeros(len(episode.achieved), np.bool_)
-    close = replace(CONFIG, reach=0.1)
+    close = replace(CONFIG, grasp_radius=0.1)
     assert (
         classify_failure(env, episode.achieved, episode.state, GOAL, quiet, False, close).failure_mode
         == failure_modes.NEVER
     )
 
 
-def test_of_several_things_the_one_not_there_counts() -> None:
-    """The lamp is lit as shown; what is left to explain is the puck, and the lamp is no wrong object."""
+def test_only_the_misplaced_object_is_a_target() -> None:
+    """The lamp is lit as shown; the failure is that of the puck, and the lamp is no wrong object."""
     goal = np.array([*GOAL[:2], 1.0])
     result = found(Script([(BUTTON, -1.0), (BUTTON, 1.0), *WANDER]), goal=goal)
-    assert (result.failure_mode, result.asked) == (failure_modes.NEVER, ("puck",))
+    assert (result.failure_mode, result.targets) == (failure_modes.NEVER, ("puck",))
 
 
-def test_what_is_done_without_a_grasp_does_not_fail_as_one() -> None:
+def test_a_goal_without_a_grasp_has_no_failed_grasp() -> None:
     """The expert carries the puck and presses the lamp's button; only where it grasped can a grasp be missed."""
     env = CorrectableEnv(HandConfig())
     for goal, grasped in ((GOAL, True), (np.array([0.3, 0.0, 1.0]), False)):
@@ -178,14 +178,14 @@ def test_what_is_done_without_a_grasp_does_not_fail_as_one() -> None:
         episode = rollout([env], HandExpert(), shown, seeds=[0], max_steps=40)[0].episode
         assert episode is not None
         assert env.reached(episode.achieved[-1], goal)
-        assert by_grasp(env, episode.achieved, episode.state, goal, CONFIG) == grasped
+        assert uses_grasp(env, episode.achieved, episode.state, goal, CONFIG) == grasped
     env.set_state(START)
     script = CASES[failure_modes.MISSED][0]()
     episode = rollout([env], script, [Goal(np.asarray(GOAL, np.float32))], seeds=[0], max_steps=60)[0].episode
     assert episode is not None
     quiet = np.zeros(len(episode.achieved), np.bool_)
     given = (env, episode.achieved, episode.state, GOAL, quiet, False, CONFIG)
-    assert [classify_failure(*given, grasping=g).failure_mode for g in (True, False)] == [
+    assert [classify_failure(*given, needs_grasp=g).failure_mode for g in (True, False)] == [
         failure_modes.MISSED,
         failure_modes.NEVER,
     ]

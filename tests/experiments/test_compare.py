@@ -13,7 +13,7 @@ from playlearn.errors import UsageError
 from playlearn.experiments.compare import CompareConfig, compare
 from playlearn.report.compared import table
 from playlearn.report.intervals import wilson
-from tests.evaluation.test_evaluate import SUITE, play
+from tests.evaluation.parts import SUITE, play
 from tests.fakes import point_expert
 
 VARIANTS = {"plain": {}, "a mixture": {"policy.head.type": "mog", "policy.head.components": 2}}

@@ -12,7 +12,7 @@ from playlearn.relabeling import RandomConfig, RelabelIndex, SettlingConfig, Uni
 from playlearn.store import NativeStore
 from tests.synthetic import ACHIEVED, make_store
 
-pytestmark = pytest.mark.filterwarnings("ignore")  # what LeRobot and the packages below it warn of is theirs to mend
+pytestmark = pytest.mark.filterwarnings("ignore")  # what LeRobot and the packages below it warn of is theirs to fix
 CAMERAS = {"front": (16, 24), "wrist": (16, 16)}
 
 
@@ -23,12 +23,12 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> NativeStore:
 
 def test_windows_follow_each_other_and_end_in_their_goals(store: NativeStore) -> None:
     windows = Windows(store, RelabelConfig()).windows
-    table = RelabelIndex.of_store(store, SettlingConfig())
+    index = RelabelIndex.of_store(store, SettlingConfig())
     for episode in range(3):
         own = [window for window in windows if window.episode == episode]
         assert own[0].begin == 0
         assert [window.begin for window in own[1:]] == [window.goal for window in own[:-1]]  # no step is left out
-        moments, ends = table.settled(episode)
+        moments, ends = index.settled(episode)
         assert len(own) == len(moments)  # the next settled one is the goal, and each is reached once
         for window, moment, end in zip(own, moments, ends, strict=True):
             assert moment <= window.goal <= end
@@ -49,7 +49,7 @@ def test_every_frame_carries_the_goal_that_the_window_ends_in(store: NativeStore
                 columns["observation.images.goal_front"][t], episode.images["front"][window.goal]
             )
             np.testing.assert_array_equal(columns["observation.goal.state"][t], episode.achieved[window.goal])
-            # what is, then what shall be
+            # achieved goal, then goal
             both = np.concatenate([episode.achieved[window.begin + t], episode.achieved[window.goal]])
             np.testing.assert_array_equal(columns["observation.environment_state"][t], both)
         assert columns["next.success"][:, 0].tolist() == [False] * (len(entry) - 1) + [True]
@@ -61,8 +61,8 @@ def test_the_same_seed_gives_the_same_windows(store: NativeStore) -> None:
     assert drawn[0] == drawn[1] != drawn[2]
 
 
-def test_what_cannot_be_relabeled_is_said(store: NativeStore) -> None:
-    with pytest.raises(UsageError, match="moments that no action leads to"):
+def test_what_cannot_be_relabeled_is_refused(store: NativeStore) -> None:
+    with pytest.raises(UsageError, match="moments that are not later"):
         _ = Windows(store, RelabelConfig(goals=RandomConfig())).windows
     with pytest.raises(UsageError, match="no images of top; it has: front, wrist"):
         Windows(store, RelabelConfig(cameras=("top",))).features()

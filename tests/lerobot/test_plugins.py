@@ -1,4 +1,4 @@
-"""Our policies and worlds as LeRobot sees them: its own loop gives what ours gives."""
+"""Our policies and environments in LeRobot: its loop gives the same results as ours."""
 
 import json
 from pathlib import Path
@@ -22,7 +22,7 @@ from tests.policies.parts import small
 if TYPE_CHECKING:
     from playlearn.lerobot.env import GoalEnv
 
-pytestmark = pytest.mark.filterwarnings("ignore")  # what LeRobot and the packages below it warn of is theirs to mend
+pytestmark = pytest.mark.filterwarnings("ignore")  # what LeRobot and the packages below it warn of is theirs to fix
 SUITE = SuiteConfig(
     name="point", environment=PointConfig(), kind=TasksConfig(rest_seconds=0.2), max_steps=40, success_hold_steps=2
 )
@@ -44,7 +44,7 @@ def new_env() -> "GoalEnv":
 
 @pytest.fixture(scope="module", params=["state", "cnn"])
 def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An untrained policy for the point's world, which acts as surely as a trained one."""
+    """An untrained policy for the point environment; deterministic like a trained one."""
     env = PointConfig().build()
     names = {name: getattr(env.spec, name) for name in ("state_names", "achieved_names", "action_names", "fps")}
     parts = {"encoder": small(request.param), "trunk": small("mlp"), "head": small("deterministic"), "chunk": 4}
@@ -75,28 +75,28 @@ def test_gymnasium_finds_nothing_to_blame_in_our_worlds(name: str) -> None:
     their_env.close()
 
 
-def test_a_seed_is_the_number_of_a_suites_episode(their_env: "GoalEnv") -> None:
-    first, told = their_env.reset(seed=3)
+def test_a_seed_is_the_number_of_an_episode_of_the_suite(their_env: "GoalEnv") -> None:
+    first, info = their_env.reset(seed=3)
     again, _ = new_env().reset(seed=3)
     np.testing.assert_array_equal(first["environment_state"], again["environment_state"])
-    assert told["task"] == list(their_env.env.tasks)[3 % 2] == their_env.task.replace(" ", "_")
+    assert info["task"] == list(their_env.env.tasks)[3 % 2] == their_env.task.replace(" ", "_")
     following, _ = their_env.reset()  # without a seed: the next
     np.testing.assert_array_equal(following["goal.state"], new_env().reset(seed=4)[0]["goal.state"])
     np.testing.assert_array_equal(following["environment_state"][3:], following["goal.state"])
     assert set(following["pixels"]) == {"front", "wrist", "goal_front", "goal_wrist"}
 
 
-def test_success_is_what_the_suite_calls_so(their_env: "GoalEnv") -> None:
+def test_success_is_the_suites(their_env: "GoalEnv") -> None:
     their_env.reset(seed=0)
     expert = point_expert(their_env.env)
-    setup = their_env._setup
-    assert setup is not None
-    expert.reset([setup.goal], [0])
+    episode = their_env._eval_episode
+    assert episode is not None
+    expert.reset([episode.goal], [0])
     ends = []
     while not ends or not (ends[-1][1] or ends[-1][2]):
         action = expert.act([their_env.env.observe()], [True])[0].action
-        _, reward, terminated, truncated, told = their_env.step(action)
-        ends.append((reward, terminated, truncated, told["is_success"]))
+        _, reward, terminated, truncated, info = their_env.step(action)
+        ends.append((reward, terminated, truncated, info["is_success"]))
     assert ends[-1] == (1.0, True, False, True)
     assert all(end == (0.0, False, False, False) for end in ends[:-1])
     their_env.reset(seed=0)
@@ -106,7 +106,7 @@ def test_success_is_what_the_suite_calls_so(their_env: "GoalEnv") -> None:
 
 
 @pytest.mark.slow
-def test_lerobots_loop_gives_what_ours_gives(run: Path, their_env: "GoalEnv", tmp_path: Path) -> None:
+def test_lerobots_loop_gives_our_results(run: Path, their_env: "GoalEnv", tmp_path: Path) -> None:
     import gymnasium as gym
     from lerobot.configs.policies import PreTrainedConfig
     from lerobot.policies.factory import get_policy_class, make_pre_post_processors
@@ -130,10 +130,10 @@ def test_lerobots_loop_gives_what_ours_gives(run: Path, their_env: "GoalEnv", tm
     policy = Policy.load(run / "policy")
     for number in (0, 1):
         their_env.reset(seed=number)
-        setup = their_env._setup
-        assert setup is not None
+        episode = their_env._eval_episode
+        assert episode is not None
         actor = PolicyActor(policy, n_action_steps=2)
-        outcome = rollout([their_env.env], actor, [setup.goal], seeds=[number], max_steps=12)[0]
+        outcome = rollout([their_env.env], actor, [episode.goal], seeds=[number], max_steps=12)[0]
         assert outcome.episode is not None
         # two rows there, one here: float32 sums in another order, over 12 steps
         np.testing.assert_allclose(done["action"][number][:12].numpy(), outcome.episode.action, atol=1e-4)
@@ -141,12 +141,12 @@ def test_lerobots_loop_gives_what_ours_gives(run: Path, their_env: "GoalEnv", tm
 
 def test_a_config_says_what_the_policy_reads(run: Path, tmp_path: Path) -> None:
     export_policy(run, tmp_path / "out")
-    told = json.loads((tmp_path / "out" / "config.json").read_text())
-    assert told["type"] == "playlearn"
-    seen = {key for key in told["input_features"] if "goal" in key}
+    config = json.loads((tmp_path / "out" / "config.json").read_text())
+    assert config["type"] == "playlearn"
+    seen = {key for key in config["input_features"] if "goal" in key}
     assert seen
-    assert told["output_features"] == {"action": {"type": "ACTION", "shape": [3]}}
-    with pytest.raises(UsageError, match="is there already"):
+    assert config["output_features"] == {"action": {"type": "ACTION", "shape": [3]}}
+    with pytest.raises(UsageError, match="already exists"):
         export_policy(run, tmp_path / "out")
 
 
@@ -209,7 +209,7 @@ def test_it_learns_from_lerobots_batches(tmp_path: Path, monkeypatch: pytest.Mon
     # Eight frames in a row look alike, and their actions are noise: only what these have in common can be learned.
     assert losses[-1] < 0.9 * losses[0]
     assert all(isinstance(value, float) for value in parts.values())
-    # What it saw is what our own batch would have said: every image as it was, the normalizer with the data's mean.
+    # Its inputs equal those of our own batch: the same images, and the data's mean in the normalizer.
     shown = policy._inputs(batch)
     np.testing.assert_array_equal(shown.images["front"][0, 0].numpy(), store.read(0).images["front"][0])
     mean = store.array(0, "observation.state")

@@ -1,4 +1,4 @@
-"""LeRobot's own commands on what we export; in this process where they can, for they take seconds to import."""
+"""LeRobot's own commands on our exports; in this process if possible, as they are slow to import."""
 
 import json
 import logging
@@ -18,7 +18,7 @@ from playlearn.store import LeRobotStoreConfig, NativeStore
 from playlearn.store.lerobot.export import write_lerobot
 from tests.synthetic import make_store
 
-pytestmark = pytest.mark.filterwarnings("ignore")  # what LeRobot and the packages below it warn of is theirs to mend
+pytestmark = pytest.mark.filterwarnings("ignore")  # what LeRobot and the packages below it warn of is theirs to fix
 CAMERAS = {"front": (48, 64), "wrist": (48, 48)}
 
 
@@ -29,7 +29,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def apart(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where LeRobot keeps its copy of what it opens, instead of the user's own cache."""
+    """A folder for LeRobot's cache, instead of the user's."""
     import datasets
 
     monkeypatch.setattr(datasets.config, "HF_DATASETS_CACHE", str(home / "cache"))
@@ -56,8 +56,8 @@ def edit(monkeypatch: pytest.MonkeyPatch, **settings: Any) -> None:
     """`lerobot-edit-dataset --name=value ...`"""
     from lerobot.scripts import lerobot_edit_dataset
 
-    words = [f"--{name.replace('operation_', 'operation.')}={value}" for name, value in settings.items()]
-    monkeypatch.setattr(sys, "argv", ["lerobot-edit-dataset", *words])
+    arguments = [f"--{name.replace('operation_', 'operation.')}={value}" for name, value in settings.items()]
+    monkeypatch.setattr(sys, "argv", ["lerobot-edit-dataset", *arguments])
     monkeypatch.setattr(lerobot_edit_dataset, "init_logging", lambda: None)
     lerobot_edit_dataset.main()
 
@@ -66,14 +66,14 @@ def edit(monkeypatch: pytest.MonkeyPatch, **settings: Any) -> None:
 def test_it_is_split_and_merged_and_read_again(
     plain: Path, store: NativeStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shares = json.dumps({"one": 0.5, "other": 0.5})
+    fractions = json.dumps({"one": 0.5, "other": 0.5})
     edit(
         monkeypatch,
         repo_id="local/plain",
         root=plain,
         new_root=tmp_path / "split",
         operation_type="split",
-        operation_splits=shares,
+        operation_splits=fractions,
     )
     parts = [tmp_path / "split" / name for name in ("one", "other")]
     edit(
@@ -92,28 +92,34 @@ def test_it_is_split_and_merged_and_read_again(
         assert np.square(seen.astype(float) - shown).mean() < 255**2 / 10**2.5  # 25 dB, as the film was written
 
 
-def test_it_is_told_of(plain: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_its_info_is_printed(plain: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     edit(monkeypatch, repo_id="local/plain", root=plain, operation_type="info")
-    said = capsys.readouterr().out
-    assert "Total episode: 4" in said
-    assert "Total frame(Actual Count): 400(400)" in said
+    output = capsys.readouterr().out
+    assert "Total episode: 4" in output
+    assert "Total frame(Actual Count): 400(400)" in output
 
 
 @pytest.mark.slow
-def test_it_is_drawn(plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_can_be_visualized(plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from lerobot.scripts import lerobot_dataset_viz
 
-    words = [f"--root={plain}", "--repo-id=local/plain", "--episode-index=1", "--save=1", f"--output-dir={tmp_path}"]
-    monkeypatch.setattr(sys, "argv", ["lerobot-dataset-viz", *words, "--num-workers=0"])
+    arguments = [
+        f"--root={plain}",
+        "--repo-id=local/plain",
+        "--episode-index=1",
+        "--save=1",
+        f"--output-dir={tmp_path}",
+    ]
+    monkeypatch.setattr(sys, "argv", ["lerobot-dataset-viz", *arguments, "--num-workers=0"])
     monkeypatch.setattr(lerobot_dataset_viz, "init_logging", lambda: None)
     lerobot_dataset_viz.main()
     assert next(tmp_path.glob("*.rrd")).stat().st_size > 10_000
 
 
-def run(command: str, *words: str, home: Path) -> str:
-    """What it says, as a process."""
+def run(command: str, *arguments: str, home: Path) -> str:
+    """The output of a command in its own process."""
     done = subprocess.run(
-        [Path(sys.executable).with_name(command), *words],
+        [Path(sys.executable).with_name(command), *arguments],
         env={**os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(home), "OMP_NUM_THREADS": "1"},
         capture_output=True,
         text=True,
@@ -157,18 +163,18 @@ def test_it_is_trained_on(
         "playlearn": {"discover_packages_path": "playlearn.lerobot.plugins"},  # where the package is not installed
     }
     settings |= {f"policy.{name}": value for name, value in own[kind].items()}
-    words = [f"--{name}={value}" for name, value in settings.items()]
+    arguments = [f"--{name}={value}" for name, value in settings.items()]
     if kind == "act":
         from lerobot.scripts import lerobot_train
 
-        monkeypatch.setattr(sys, "argv", ["lerobot-train", *words])
+        monkeypatch.setattr(sys, "argv", ["lerobot-train", *arguments])
         monkeypatch.setattr(lerobot_train, "init_logging", lambda **_: None)
         with caplog.at_level(logging.INFO):
             lerobot_train.main()
-        said = caplog.text
+        output = caplog.text
     else:
-        said = run("lerobot-train", *words, home=tmp_path / "home")
-    losses = [float(value) for value in re.findall(r"loss:([\d.]+) grdn", said)]
+        output = run("lerobot-train", *arguments, home=tmp_path / "home")
+    losses = [float(value) for value in re.findall(r"loss:([\d.]+) grdn", output)]
     assert len(losses) == 2  # one line a step
     assert np.isfinite(losses).all()
     saved = next((tmp_path / "run" / "checkpoints").glob("*/pretrained_model/config.json"))

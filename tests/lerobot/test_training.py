@@ -1,4 +1,4 @@
-"""A LeRobot dataset is trained on as it is, and teaches what the store would that it was made of."""
+"""Training on a LeRobot dataset gives the same policy as training on its store."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -18,19 +18,19 @@ from playlearn.training import TrainConfig, train
 from tests.synthetic import make_episode, make_store
 from tests.training.test_train import config
 
-pytestmark = pytest.mark.filterwarnings("ignore")  # what LeRobot and the packages below it warn of is theirs to mend
+pytestmark = pytest.mark.filterwarnings("ignore")  # what LeRobot and the packages below it warn of is theirs to fix
 
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where LeRobot keeps its copy of what it opens, instead of the user's own cache."""
+    """A folder for LeRobot's cache, instead of the user's."""
     import datasets
 
     monkeypatch.setattr(datasets.config, "HF_DATASETS_CACHE", str(tmp_path / "cache"))
 
 
 @pytest.mark.slow
-def test_it_teaches_the_very_same_policy(tmp_path: Path) -> None:
+def test_it_trains_the_same_policy(tmp_path: Path) -> None:
     store = make_store(tmp_path / "play", np.random.default_rng(0), 4, 200)
     export_lerobot(store, tmp_path / "exported")
     plain = replace(config(tmp_path / "play"), steps=3, val_batches=0)
@@ -44,7 +44,7 @@ def test_it_teaches_the_very_same_policy(tmp_path: Path) -> None:
     assert yaml.safe_load((tmp_path / "other" / "run.json").read_text())["store"]["episodes"] == 4
 
 
-def test_actions_in_units_of_their_own_are_not_clipped(tmp_path: Path) -> None:
+def test_actions_in_other_units_are_not_clipped(tmp_path: Path) -> None:
     episodes = [make_episode(np.random.default_rng(seed), 100, seed=seed) for seed in range(3)]
     degrees = [replace(one, action=one.action * 90, expert_action=one.expert_action * 90 + 45) for one in episodes]
     store = NativeStore.create(tmp_path / "play", StoreSpec.of(degrees[0]))
@@ -61,7 +61,7 @@ def test_actions_in_units_of_their_own_are_not_clipped(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_camera_that_is_not_there_is_told_with_those_that_are(tmp_path: Path) -> None:
+def test_a_missing_camera_is_named_with_those_that_exist(tmp_path: Path) -> None:
     make_store(tmp_path / "play", np.random.default_rng(0), 2, 60, {"top": (16, 24)})
     export_lerobot(NativeStore.open(tmp_path / "play"), tmp_path / "exported")
     (tmp_path / "exported" / "meta" / "playlearn").rename(tmp_path / "aside")

@@ -14,7 +14,7 @@ from playlearn.policies import Policy
 from playlearn.scenes import ScenesConfig, draw_scenes
 from playlearn.store import NativeStore
 from playlearn.training import TrainConfig, train
-from tests.evaluation.test_evaluate import SUITE, play
+from tests.evaluation.parts import SUITE, play
 from tests.fakes import point_expert
 
 torch.set_num_threads(1)

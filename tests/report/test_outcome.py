@@ -1,4 +1,4 @@
-"""What is said of a training run at its end."""
+"""The outcome of a training run."""
 
 import math
 
@@ -14,7 +14,7 @@ def outcome(*losses: float, first_at: int = 0, of_steps: int = 0) -> Outcome:
     return Outcome.of([{"step": 1, "train/loss": 9.0}, *lines], steps, of_steps or steps, 61.234)
 
 
-def test_a_run_that_learned_says_where_its_loss_was() -> None:
+def test_a_run_that_learned_reports_its_losses() -> None:
     one = outcome(1.0, 0.4, 0.5)
     assert one.complaint() is None
     assert one.summary() == [
@@ -33,7 +33,7 @@ def test_a_run_that_learned_says_where_its_loss_was() -> None:
 
 
 @pytest.mark.parametrize(
-    ("losses", "words"),
+    ("losses", "message"),
     [
         ((1.0, 1.1), "too few updates"),
         ((1.0, 1.0), "too few updates"),
@@ -41,30 +41,30 @@ def test_a_run_that_learned_says_where_its_loss_was() -> None:
         ((1.0, 0.5, math.inf), "the learning rate is too high"),
     ],
 )
-def test_one_that_did_not_says_what_is_likely(losses: tuple[float, ...], words: str) -> None:
+def test_a_run_that_learned_nothing_names_likely_reasons(losses: tuple[float, ...], message: str) -> None:
     one = outcome(*losses)
     complaint = one.complaint()
     assert complaint is not None
-    assert words in complaint
+    assert message in complaint
     assert f"after {one.steps} of {one.steps} updates" in complaint
     assert math.isfinite(one.numbers()["val_loss_least"] or 0.0)
 
 
-def test_one_whose_loss_came_down_and_rose_again_has_learned_something() -> None:
-    """The likelihood of a policy that is sure of itself ends above where it began, and the policy works."""
+def test_a_run_whose_loss_fell_and_rose_again_has_learned() -> None:
+    """The NLL of an overconfident policy can end above its start, and the policy works."""
     one = outcome(1.0, 0.4, 1.2)
     assert one.complaint() is None
     assert one.summary()[-1].startswith("too many updates for so little play")
 
 
-def test_one_that_ran_out_of_minutes_says_how_far_it_came() -> None:
-    said = outcome(1.0, 0.9, of_steps=10_000).summary()
-    assert len(said) == 2
-    assert "after 100 of 10000 updates (61 s): the result will be worse" in said[0]
+def test_a_run_that_hit_its_time_limit_says_so() -> None:
+    messages = outcome(1.0, 0.9, of_steps=10_000).summary()
+    assert len(messages) == 2
+    assert "after 100 of 10000 updates (61 s): the result will be worse" in messages[0]
 
 
-def test_where_the_beginning_is_not_known_there_is_no_judgment() -> None:
-    """Runs of before there was an evaluation at step 0, and runs that hold nothing out."""
+def test_without_a_loss_before_training_there_is_no_complaint() -> None:
+    """Runs without an evaluation at step 0, and runs without a validation split."""
     old = outcome(0.3, 0.4, first_at=100)
     assert old.complaint() is None
     assert "0.3 at update 100" in old.summary()[0]

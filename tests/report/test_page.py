@@ -1,4 +1,4 @@
-"""The report in a real browser: whole, self-contained, and saying what results.json says."""
+"""The report in a real browser: complete, self-contained, and consistent with results.json."""
 
 import io
 import math
@@ -30,7 +30,7 @@ def row(episodes: int, won: int, strict: int) -> dict[str, Any]:
     }
 
 
-def contender(*tasks: tuple[int, int, int]) -> dict[str, Any]:
+def policy_rows(*tasks: tuple[int, int, int]) -> dict[str, Any]:
     totals = [sum(column) for column in zip(*tasks, strict=True)]
     named = {name: row(*task) for name, task in zip(("lamp_on", "move <puck>"), tasks, strict=True)}
     return {**row(*totals), "crashed": 0, "tasks": named}
@@ -39,8 +39,8 @@ def contender(*tasks: tuple[int, int, int]) -> dict[str, Any]:
 RESULTS: dict[str, Any] = {
     "suite": "point_tasks",
     "goal_modality": "image",
-    **contender((7, 5, 4), (6, 1, 0)),
-    "references": {"expert": contender((7, 7, 7), (6, 6, 5)), "random": contender((7, 1, 0), (6, 0, 0))},
+    **policy_rows((7, 5, 4), (6, 1, 0)),
+    "references": {"expert": policy_rows((7, 7, 7), (6, 6, 5)), "random": policy_rows((7, 1, 0), (6, 0, 0))},
     "redraws": 3,
     "seed": 0,
     "renderer": "numpy",
@@ -86,7 +86,7 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def opened(browser: Any, html: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, list[str], list[str]]:
-    """The page, what it complained of, and what it asked the network for."""
+    """The page, its errors, and its network requests."""
     path = tmp_path_factory.mktemp("report") / "report.html"
     path.write_text(html)
     tab, complaints, requests = browser.new_page(viewport={"width": 1200, "height": 900}), [], []
@@ -97,21 +97,21 @@ def opened(browser: Any, html: str, tmp_path_factory: pytest.TempPathFactory) ->
     return tab, complaints, [url for url in requests if not url.startswith(("file:", "data:"))]
 
 
-def test_it_loads_in_silence_and_fetches_nothing(opened: tuple[Any, list[str], list[str]]) -> None:
+def test_it_loads_without_errors_or_requests(opened: tuple[Any, list[str], list[str]]) -> None:
     _, complaints, requests = opened
     assert complaints == []
     assert requests == []
 
 
 def test_every_picture_is_there(opened: tuple[Any, list[str], list[str]]) -> None:
-    """3 attempts of 3 stills each and 2 films: 11 pictures, in the camera's own shape of 24 x 32."""
+    """3 episodes of 3 stills each and 2 films: 11 pictures, in the camera's own shape of 24 x 32."""
     sizes = opened[0].eval_on_selector_all("img", "all => all.map(i => [i.naturalWidth, i.naturalHeight])")
     assert len(sizes) == 11
     assert sizes.count([128, 96]) == 9
-    assert sizes.count([128 * 2 + 4, 96]) == 2, "films have the goal beside the attempt"
+    assert sizes.count([128 * 2 + 4, 96]) == 2, "films have the goal beside the episode"
 
 
-def test_the_table_says_what_the_results_say(opened: tuple[Any, list[str], list[str]]) -> None:
+def test_the_table_matches_the_results(opened: tuple[Any, list[str], list[str]]) -> None:
     """5 of 7, 1 of 6 and 6 of 13, with one decimal; the references beside them."""
     cells = opened[0].eval_on_selector_all(
         "#tasks tbody tr", "all => all.map(r => [...r.cells].map(c => c.innerText.trim()))"
@@ -135,9 +135,9 @@ def test_curves_end_where_the_rates_are(opened: tuple[Any, list[str], list[str]]
     ends = opened[0].eval_on_selector_all(
         "#curves polyline", "all => all.map(l => l.points.getItem(l.points.numberOfItems - 1).y)"
     )
-    policy, expert, chance = ends
+    policy, expert, random = ends
     assert expert == pytest.approx(12, abs=0.1)
-    assert expert < policy < chance
+    assert expert < policy < random
 
 
 def test_failures_have_pictures_and_reasons(opened: tuple[Any, list[str], list[str]]) -> None:
@@ -156,18 +156,18 @@ def test_it_fits_a_phone(browser: Any, html: str, tmp_path: Path) -> None:
     tab.close()
 
 
-def test_what_is_said_is_never_markup(html: str) -> None:
+def test_text_is_escaped(html: str) -> None:
     assert "<script" not in html
     assert "move &lt;puck&gt;" in html
 
 
-def test_without_pictures_it_says_why() -> None:
+def test_without_pictures_it_has_a_note() -> None:
     text = page(RESULTS, CURVES, 10.0, [], "No pictures: no headless GL here")
     assert "No pictures: no headless GL here" in text
     assert "<img" not in text
 
 
-def test_a_film_plays_at_the_worlds_own_speed() -> None:
+def test_a_film_plays_in_real_time() -> None:
     """5 frames of 0.1 s; the last one stays for a second."""
     frames = [np.full((8, 8, 3), 40 * k, np.uint8) for k in range(5)]
     film = Image.open(io.BytesIO(encode_film(frames, 0.1)))
@@ -198,7 +198,7 @@ def test_wilson_is_where_the_score_test_rejects(won: int, tried: int) -> None:
     assert wilson(tried - won, tried) == pytest.approx((1 - high, 1 - low)), "losing is winning, mirrored"
 
 
-def test_wilson_knows_nothing_of_nothing() -> None:
+def test_wilson_without_trials_is_the_whole_interval() -> None:
     assert wilson(0, 0) == (0.0, 1.0)
     with pytest.raises(ValueError, match="3 successes in 2 trials"):
         wilson(3, 2)

@@ -1,4 +1,4 @@
-"""The numbers of a store: each is counted where it can be counted by hand."""
+"""The statistics of a store, each in a case that can be counted by hand."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -54,22 +54,22 @@ def stored(path: Path, *episodes: Episode) -> NativeStore:
 
 
 def test_an_attempt_is_a_skill_from_its_first_step_to_its_last(tmp_path: Path) -> None:
-    """Marks do not part an attempt; giving up and doing it again do. What the end cuts has not failed."""
-    said = ["lift", "lift:mistake", "lift", "place:open_loop", "place:open_loop:gave_up", "place", "place:again"]
-    found = attempts(stored(tmp_path / "play", episode(said)))
+    """Marks do not split an attempt; giving up and starting again do. A truncated attempt has not failed."""
+    annotations = ["lift", "lift:mistake", "lift", "place:open_loop", "place:open_loop:gave_up", "place", "place:again"]
+    found = attempts(stored(tmp_path / "play", episode(annotations)))
     assert found == [
-        SkillAttempt(0, 0, 3, "lift", frozenset({"mistake"}), cut=False),
-        SkillAttempt(0, 3, 5, "place", frozenset({"open_loop", "gave_up"}), cut=False),
-        SkillAttempt(0, 5, 6, "place", frozenset(), cut=False),
-        SkillAttempt(0, 6, 7, "place", frozenset(), cut=True),
+        SkillAttempt(0, 0, 3, "lift", frozenset({"mistake"}), truncated=False),
+        SkillAttempt(0, 3, 5, "place", frozenset({"open_loop", "gave_up"}), truncated=False),
+        SkillAttempt(0, 5, 6, "place", frozenset(), truncated=False),
+        SkillAttempt(0, 6, 7, "place", frozenset(), truncated=True),
     ]
-    told = figures(stored(tmp_path / "again", episode(said)))
-    assert told["attempts"] == {"count": 4, "reached": 2, "failed": 1, "cut": 1}
-    assert told["mishaps"]["mistake"] == {"count": 1, "reached": 1, "failed": 0, "cut": 0}
-    assert told["skills"]["place"]["marks"]["open_loop"] == 1
-    assert told["store"]["skills"] == {"lift": 1, "place": 1}, "`playlearn info` names skills, not marks"
-    assert told["skills"]["place"]["seconds"]["high"] == pytest.approx(0.2), "two steps at 10 Hz"
-    assert told["steps"] == pytest.approx({"mistake": 1 / 7, "open_loop": 2 / 7})
+    play = figures(stored(tmp_path / "again", episode(annotations)))
+    assert play["attempts"] == {"count": 4, "succeeded": 2, "failed": 1, "truncated": 1}
+    assert play["mishaps"]["mistake"] == {"count": 1, "succeeded": 1, "failed": 0, "truncated": 0}
+    assert play["skills"]["place"]["marks"]["open_loop"] == 1
+    assert play["store"]["skills"] == {"lift": 1, "place": 1}, "`playlearn info` names skills, not marks"
+    assert play["skills"]["place"]["seconds"]["high"] == pytest.approx(0.2), "two steps at 10 Hz"
+    assert play["steps"] == pytest.approx({"mistake": 1 / 7, "open_loop": 2 / 7})
 
 
 @pytest.mark.parametrize(
@@ -91,13 +91,13 @@ def test_a_grasp_is_missed_where_fingers_close_on_nothing_and_open_again(
 
 def test_changes_are_those_of_relabeling(tmp_path: Path) -> None:
     store = make_store(tmp_path / "play", np.random.default_rng(0), episodes=3)
-    told = figures(store)
+    play = figures(store)
     table = RelabelIndex.of_store(store, SettlingConfig())
-    assert {name: row["count"] for name, row in told["changes"].items()} == table.change_counts()
-    assert told["settled"]["moments"] == len(table.moments) > 5
+    assert {name: row["count"] for name, row in play["changes"].items()} == table.change_counts()
+    assert play["settled"]["moments"] == len(table.moments) > 5
     # Three episodes of 200 steps at 20 Hz are half a minute.
-    assert told["settled"]["per_minute"] == pytest.approx(2 * len(table.moments))
-    assert sum(told["settled"]["histogram"]["counts"]) == len(table.moments)
+    assert play["settled"]["per_minute"] == pytest.approx(2 * len(table.moments))
+    assert sum(play["settled"]["histogram"]["counts"]) == len(table.moments)
 
 
 def test_seconds_between_changes_are_counted_from_one_to_the_next(tmp_path: Path) -> None:
@@ -112,43 +112,43 @@ def test_seconds_between_changes_are_counted_from_one_to_the_next(tmp_path: Path
 
 
 def test_a_map_has_y_upwards_and_x_to_the_right(tmp_path: Path) -> None:
-    """The red thing spends 30 moments at the left top and 11 at the right bottom; the hand stays in between."""
+    """The red block spends 30 moments at the left top and 11 at the right bottom; the end effector stays in between."""
     achieved = np.zeros((41, 3), np.float32)
     achieved[:30, :2], achieved[30:, :2] = (-0.2, 0.1), (0.2, -0.1)
-    told = figures(stored(tmp_path / "play", episode(["x"] * 40, achieved=achieved)))["places"]
-    red, hand = (np.array(told["maps"][name]["counts"]) for name in ("red", "hand"))
+    play = figures(stored(tmp_path / "play", episode(["x"] * 40, achieved=achieved)))["heat_maps"]
+    red, hand = (np.array(play["maps"][name]["counts"]) for name in ("red", "end effector"))
     assert (red[0, 0], red[-1, -1], red.sum()) == (30, 11, 41)
     assert hand.sum() == hand.max() == 41
-    assert told["maps"]["red"]["covers"] == pytest.approx(2 / 3), "two of the three cells where anything was"
+    assert play["maps"]["red"]["coverage"] == pytest.approx(2 / 3), "two of the three cells where anything was"
     # Twice as wide as high, in square cells.
     assert red.shape == (14, 28)
 
 
-def test_a_hand_that_stands_still_is_idle(tmp_path: Path) -> None:
+def test_an_end_effector_that_stands_still_is_idle(tmp_path: Path) -> None:
     """30 of 40 steps at rest, then 10 of 1 cm at 10 Hz: 0.1 m/s."""
     state = np.zeros((41, 4), np.float32)
     state[31:, 0] = 0.01 * np.arange(1, 11)
-    told = figures(stored(tmp_path / "play", episode(["x"] * 40, state=state)))["hand"]
-    assert told["idle"] == pytest.approx(0.75)
-    assert told["speed"]["high"] == pytest.approx(0.1, rel=1e-4)
-    assert told["speed"]["mean"] == pytest.approx(0.025, rel=1e-4)
+    play = figures(stored(tmp_path / "play", episode(["x"] * 40, state=state)))["end_effector"]
+    assert play["idle"] == pytest.approx(0.75)
+    assert play["speed"]["high"] == pytest.approx(0.1, rel=1e-4)
+    assert play["speed"]["mean"] == pytest.approx(0.025, rel=1e-4)
 
 
-def test_noise_is_what_was_executed_less_what_was_meant(tmp_path: Path) -> None:
+def test_noise_is_the_executed_action_minus_the_label(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
-    told = figures(make_store(tmp_path / "play", rng, episodes=4))["actions"]
+    play = figures(make_store(tmp_path / "play", rng, episodes=4))["actions"]
     # `tests.synthetic` adds a spread of 0.05 and clips, which takes a little of it away.
-    assert [row["noise"] for row in told["dimensions"].values()] == pytest.approx([0.05] * 4, rel=0.1)
-    assert all(sum(row["executed"]) == sum(row["meant"]) == 800 for row in told["dimensions"].values())
+    assert [row["noise"] for row in play["dimensions"].values()] == pytest.approx([0.05] * 4, rel=0.1)
+    assert all(sum(row["executed"]) == sum(row["label"]) == 800 for row in play["dimensions"].values())
 
 
-def test_a_store_without_annotations_or_hand_is_told_as_far_as_it_goes(tmp_path: Path) -> None:
+def test_a_store_without_annotations_or_end_effector_has_the_other_statistics(tmp_path: Path) -> None:
     played = make_episode(np.random.default_rng(0))
     meta = dataclasses.replace(played.meta, skills=(), state_names=("a", "b", "c", "d"))
-    told = figures(stored(tmp_path / "play", dataclasses.replace(played, meta=meta, skill=np.zeros(200, np.int16))))
-    assert told["skills"] == {}
-    assert told["hand"] == {}
-    assert set(told["places"]["maps"]) == {"red"}
+    play = figures(stored(tmp_path / "play", dataclasses.replace(played, meta=meta, skill=np.zeros(200, np.int16))))
+    assert play["skills"] == {}
+    assert play["end_effector"] == {}
+    assert set(play["heat_maps"]["maps"]) == {"red"}
 
 
 def test_an_empty_store_is_refused(tmp_path: Path) -> None:

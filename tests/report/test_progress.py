@@ -1,4 +1,4 @@
-"""Laws of the time shown: it is right from early on, soon said, and said in minutes where it is long."""
+"""Laws of the estimated time: it is right early, shown soon, and in minutes if it is long."""
 
 import heapq
 import re
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 from playlearn.report import progress as module
-from playlearn.report.progress import Pace, Progress, spoken
+from playlearn.report.progress import Pace, Progress, format_seconds
 
 
 class Clock:
@@ -25,7 +25,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Iterator[Clock]:
 
 
 def left(line: str) -> float:
-    """Seconds that a line says are left."""
+    """The seconds left in a line."""
     found = re.search(r"about (\d+) (s|min) left", line)
     assert found is not None, line
     return float(found[1]) * (60 if found[2] == "min" else 1)
@@ -61,15 +61,15 @@ def test_the_start_of_workers_spoils_no_estimate(
         start = heapq.heappop(free)
         heapq.heappush(free, start + took)
         ends.append((start + took, took))
-    said: list[tuple[float, float]] = []
+    estimates: list[tuple[float, float]] = []
     with Progress("collect", pieces, "episode", workers=workers) as progress:
         for done, (end, took) in enumerate(sorted(ends), 1):
             clock.now = end
             progress.to(done, seconds=took)
             line = capsys.readouterr().err
             if done < pieces:
-                said.append((left(line), max(ends)[0] - end))
-    for estimate, truth in said:
+                estimates.append((left(line), max(ends)[0] - end))
+    for estimate, truth in estimates:
         assert abs(estimate - truth) <= 6 + 0.2 * truth + (30 if truth > 120 else 0), "rounded to a minute above two"
 
 
@@ -117,4 +117,4 @@ def test_a_pace_forgets_the_first_ones_and_what_was_held_up() -> None:
 
 
 def test_time_is_said_as_people_say_it() -> None:
-    assert [spoken(seconds) for seconds in (0.4, 119.6, 121.0, 5400.0)] == ["0 s", "120 s", "2 min", "90 min"]
+    assert [format_seconds(seconds) for seconds in (0.4, 119.6, 121.0, 5400.0)] == ["0 s", "120 s", "2 min", "90 min"]

@@ -1,4 +1,4 @@
-"""A store's report in a real browser, and as film strips and card: whole, self-contained, and saying what is so."""
+"""A store's report in a real browser, as film strips and as card: complete, self-contained and correct."""
 
 import dataclasses
 import io
@@ -18,7 +18,7 @@ from playlearn.errors import RenderError, UsageError
 from playlearn.report.play import SkillAttempt, figures
 from playlearn.report.store_page import HEIGHT, WIDTH, heat_map, outline
 from playlearn.report.store_report import write_report
-from playlearn.report.strips import COLORS, FRAMES, choose, picture, stored_look, strips
+from playlearn.report.strips import COLORS, FRAMES, choose, picture, stored_images, strips
 from playlearn.rollout import rollout
 from playlearn.sim import Environment
 from playlearn.store import NativeStore, StoreSpec
@@ -30,7 +30,7 @@ CHROMIUM = shutil.which("chromium")
 SKILLS = ("push <red>", "open drawer:open_loop:mistake", "flip lamp:slip")
 
 
-def nobody() -> Environment:
+def no_environment() -> Environment:
     raise RenderError("no headless OpenGL")
 
 
@@ -50,13 +50,13 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> NativeStore:
 def written(store: NativeStore, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("report")
     for name in ("play.html", "play.json", "play.png", "README.md"):
-        write_report(store, folder / name, nobody)
+        write_report(store, folder / name, no_environment)
     return folder
 
 
 @pytest.fixture(scope="module")
 def tab(written: Path) -> Iterator[tuple[Any, list[str]]]:
-    """The page, and what it complained of or asked the network for."""
+    """The page, and its errors and network requests."""
     playwright = pytest.importorskip("playwright.sync_api", reason="the playwright package is not installed")
     if CHROMIUM is None:
         pytest.skip("no chromium on the PATH; on Debian: apt-get install chromium")
@@ -67,29 +67,29 @@ def tab(written: Path) -> Iterator[tuple[Any, list[str]]]:
         opened.on("pageerror", lambda error: complaints.append(str(error)))
         opened.on("request", lambda request: complaints.append(request.url))
         opened.goto((written / "play.html").as_uri(), wait_until="load")
-        yield opened, [said for said in complaints if not said.startswith(("file:", "data:"))]
+        yield opened, [line for line in complaints if not line.startswith(("file:", "data:"))]
         browser.close()
 
 
 @pytest.mark.slow
-def test_it_loads_in_silence_and_fetches_nothing(tab: tuple[Any, list[str]]) -> None:
+def test_it_loads_without_errors_or_requests(tab: tuple[Any, list[str]]) -> None:
     assert tab[1] == []
 
 
 @pytest.mark.slow
-def test_the_tables_say_what_the_numbers_say(tab: tuple[Any, list[str]], written: Path, store: NativeStore) -> None:
-    told = json.loads((written / "play.json").read_text())
-    assert told == json.loads(json.dumps(figures(store)))
-    for name, row in told["changes"].items():
+def test_the_tables_match_the_statistics(tab: tuple[Any, list[str]], written: Path, store: NativeStore) -> None:
+    play = json.loads((written / "play.json").read_text())
+    assert play == json.loads(json.dumps(figures(store)))
+    for name, row in play["changes"].items():
         assert tab[0].inner_text(f"#changed [data-group={name}] .count") == str(row["count"])
-    for name, row in told["mishaps"].items():
+    for name, row in play["mishaps"].items():
         assert tab[0].inner_text(f"#mishaps [data-mishap={name}] td:nth-child(2)") == str(row["count"])
-    assert tab[0].locator("#skills tbody tr").count() == len(told["skills"]) == 3
+    assert tab[0].locator("#skills tbody tr").count() == len(play["skills"]) == 3
 
 
 @pytest.mark.slow
 def test_every_picture_is_there(tab: tuple[Any, list[str]]) -> None:
-    """Heat maps of the red thing and the hand, 24 random moments, and up to eight strips of ten pictures each."""
+    """Heat maps of the red block and the end effector, 24 random moments, and up to eight strips of ten images each."""
     sizes = tab[0].eval_on_selector_all("img", "all => all.map(i => [i.naturalWidth, i.naturalHeight])")
     assert all(width > 0 for width, _ in sizes)
     assert tab[0].locator("#maps img").count() == 2
@@ -105,7 +105,7 @@ def test_it_fits_a_phone(tab: tuple[Any, list[str]]) -> None:
     assert tab[0].evaluate("document.documentElement.scrollWidth") <= 390
 
 
-def test_what_is_said_is_never_markup(written: Path) -> None:
+def test_text_is_escaped(written: Path) -> None:
     page = (written / "play.html").read_text()
     assert "push &lt;red&gt;" in page
     assert "<red>" not in page
@@ -133,7 +133,7 @@ def test_a_sheet_is_small_and_shows_the_stripes(written: Path) -> None:
 
 def test_a_strip_shows_its_own_attempt_from_first_to_last(store: NativeStore) -> None:
     """`tests.synthetic` writes the observation's index into the top left pixel."""
-    for strip in strips(store, stored_look(store), ["front"], 4, np.random.default_rng(1)):
+    for strip in strips(store, stored_images(store), ["front"], 4, np.random.default_rng(1)):
         assert strip.steps[0] == strip.attempt.begin
         assert strip.steps[-1] == strip.attempt.end - 1
         assert [int(image[0, 0, 0]) for image in strip.rows[0]] == list(strip.steps)
@@ -143,13 +143,13 @@ def test_a_strip_shows_its_own_attempt_from_first_to_last(store: NativeStore) ->
 
 def test_every_mark_that_occurs_is_chosen_once_before_any_twice() -> None:
     marks = [frozenset[str]()] * 30 + [frozenset({"slip"})] * 3 + [frozenset({"mistake"})]
-    tried = [SkillAttempt(k, 0, FRAMES, "x", own, cut=False) for k, own in enumerate(marks)]
-    chosen = choose(tried, 4, np.random.default_rng(0))
+    skill_attempts = [SkillAttempt(k, 0, FRAMES, "x", own, truncated=False) for k, own in enumerate(marks)]
+    chosen = choose(skill_attempts, 4, np.random.default_rng(0))
     assert sorted(sorted(one.marks) for one in chosen) == [[], ["mistake"], ["slip"], ["slip"]]
-    assert len(choose(tried, 100, np.random.default_rng(0))) == 34
+    assert len(choose(skill_attempts, 100, np.random.default_rng(0))) == 34
 
 
-def test_states_are_drawn_where_no_images_were_recorded(tmp_path: Path) -> None:
+def test_states_are_rendered_if_there_are_no_images(tmp_path: Path) -> None:
     env = PointEnv(PointConfig())
     env.reset(0)
     outcome = rollout([env], PointPlayPolicy(), [None], seeds=[0], max_steps=80)[0]
@@ -161,22 +161,22 @@ def test_states_are_drawn_where_no_images_were_recorded(tmp_path: Path) -> None:
     assert 'id="moments"' in (tmp_path / "drawn.html").read_text()
 
 
-def test_where_nothing_can_be_drawn_it_says_why(tmp_path: Path) -> None:
+def test_without_a_renderer_it_has_a_note(tmp_path: Path) -> None:
     store = make_store(tmp_path / "play", np.random.default_rng(0), episodes=1)
-    write_report(store, tmp_path / "play.html", nobody)
+    write_report(store, tmp_path / "play.html", no_environment)
     page = (tmp_path / "play.html").read_text()
     assert "no headless OpenGL" in page
     assert 'id="moments"' not in page
     with pytest.raises(UsageError, match="no headless OpenGL"):
-        write_report(store, tmp_path / "play.png", nobody)
+        write_report(store, tmp_path / "play.png", no_environment)
 
 
 def test_another_kind_of_file_is_refused(store: NativeStore, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"\*\.html.*\*\.md"):
-        write_report(store, tmp_path / "play.pdf", nobody)
+        write_report(store, tmp_path / "play.pdf", no_environment)
 
 
-def test_a_heat_map_is_darkest_where_things_were_most_often() -> None:
+def test_a_heat_map_is_darkest_where_visited_most() -> None:
     image = np.asarray(Image.open(io.BytesIO(heat_map([[0, 1], [100, 25]])))).astype(int).sum(axis=2)
     assert image[1, 0] < image[1, 1] < image[0, 1] < image[0, 0]
 
@@ -188,7 +188,7 @@ def test_an_outline_goes_up_to_the_count_and_back_to_the_ground() -> None:
     assert outline([1, 2]) == (f"0.0,{ground} 0.0,{half} {middle},{half} {middle},{whole} {end},{whole} {end},{ground}")
 
 
-def test_the_command_writes_every_report_that_is_asked_for(
+def test_the_command_writes_every_requested_report(
     store: NativeStore, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     page, numbers = tmp_path / "new" / "play.html", tmp_path / "play.json"

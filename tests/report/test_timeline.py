@@ -1,4 +1,4 @@
-"""What the picture of an episode shows: every settled moment where it is, and what it says of it."""
+"""The timeline of an episode: every settled moment and its label."""
 
 import dataclasses
 from pathlib import Path

@@ -73,16 +73,16 @@ def test_an_episode_is_there_step_by_step(store: NativeStore, episode_file: Path
 
 def test_events_name_skills_and_settled_moments(store: NativeStore, episode_file: Path) -> None:
     events, episode = logged(episode_file)["/events"], store.read(1)
-    said = dict(zip(events["step"], (text[0] for text in events["TextLog:text"]), strict=True))
+    events_at = dict(zip(events["step"], (text[0] for text in events["TextLog:text"]), strict=True))
     begins = [0, *(np.flatnonzero(np.diff(episode.skill)) + 1)]
     for t in begins:
-        assert said[t] == episode.meta.skills[episode.skill[t]]
+        assert events_at[t] == episode.meta.skills[episode.skill[t]]
     moments, _ = RelabelIndex.build([episode.achieved], episode.meta.achieved_names, 20.0, SettlingConfig()).settled(0)
     assert len(moments) >= 1
     for moment in moments:
-        assert said[moment].startswith("settled: ")
-    assert said[160] == "ended: length"
-    assert len(said) == len(begins) + len(moments) + 1
+        assert events_at[moment].startswith("settled: ")
+    assert events_at[160] == "ended: length"
+    assert len(events_at) == len(begins) + len(moments) + 1
 
 
 def test_beside_each_camera_is_the_goal_that_comes_next(store: NativeStore, episode_file: Path) -> None:
@@ -141,7 +141,7 @@ def evaluation(tmp_path: Path) -> Path:
         "renderer": "none",
         "versions": {},
         "revision": None,
-        "policy": {"name": "pupil"},
+        "policy": {"name": "policy"},
         "config": {"success_hold_steps": 1, "max_steps": 10, "kind": {"type": "tasks"}},
         "seconds": 1.0,
         "achieved_names": ["red.x", "red.y"],
@@ -160,12 +160,12 @@ def evaluation(tmp_path: Path) -> Path:
             "goal_achieved": [0.5, 0.25],
             "final_achieved": [0.375, 0.25],
         }
-        for policy, episode in (("pupil", 2), ("pupil", 0), ("expert", 0), ("pupil", 1))
+        for policy, episode in (("policy", 2), ("policy", 0), ("expert", 0), ("policy", 1))
     ]
     folder = tmp_path / "eval"
     folder.mkdir()
     (folder / "results.json").write_text(json.dumps(results))
-    (folder / "report.html").write_text(page(results, {"pupil": [0.0, 1 / 3]}, 20.0, shown, ""))
+    (folder / "report.html").write_text(page(results, {"policy": [0.0, 1 / 3]}, 20.0, shown, ""))
     pq.write_table(pa.Table.from_pylist(rows), folder / "episodes.parquet")
     return folder
 
@@ -174,7 +174,7 @@ def test_an_evaluation_shows_the_goal_beside_what_was_achieved(evaluation: Path,
     out = view_results(evaluation, save=tmp_path / "results.rrd")
     assert out is not None
     found = logged(out)
-    assert found["/success"]["episode"] == [0, 1, 2]  # in order, the judged policy's alone
+    assert found["/success"]["episode"] == [0, 1, 2]  # in order, the evaluated policy's alone
     assert found["/success"]["Scalars:scalars"] == [[0.0], [1.0], [0.0]]
     text = found["/outcome"]["TextDocument:text"][1][0]
     assert "# push, episode 1\nreached (9 steps)" in text

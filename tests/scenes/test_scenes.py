@@ -18,7 +18,7 @@ from playlearn.scenes import Scenes, ScenesConfig, draw_scenes
 from playlearn.scenes.draw import draw
 from playlearn.store import NativeStore, open_store
 from playlearn.training import TrainConfig, train
-from tests.evaluation.test_evaluate import play
+from tests.evaluation.parts import play
 from tests.synthetic import make_store
 
 torch.set_num_threads(1)

@@ -1,4 +1,4 @@
-"""Other people's recordings become episodes: every number where it was, nothing twice, what is broken by its name."""
+"""Import of other formats: every value is kept, no episode comes twice, broken recordings are named."""
 
 import json
 import zipfile
@@ -24,7 +24,7 @@ ENV_ARGS = json.dumps({"env_name": "Lift", "type": 1, "env_kwargs": {"control_fr
 
 
 def robomimic(path: Path, demos: int = 12, change: Callable[[Any], None] = lambda data: None) -> Path:
-    """A file as robomimic writes it: demo k has k + 3 actions, all told from (k, t)."""
+    """A file as robomimic writes it: demo k has k + 3 actions, all values computed from (k, t)."""
     with h5py.File(path, "w") as file:
         data = file.create_group("data")
         data.attrs["env_args"] = ENV_ARGS
@@ -48,7 +48,7 @@ def robomimic(path: Path, demos: int = 12, change: Callable[[Any], None] = lambd
     return path
 
 
-def test_robomimic_numbers_come_over_as_they_are(tmp_path: Path) -> None:
+def test_robomimic_values_are_kept(tmp_path: Path) -> None:
     source = robomimic(tmp_path / "low_dim.hdf5")
     store = import_recordings(RobomimicFile(source), tmp_path / "store")
     assert store.indices().tolist() == list(range(12))  # demo_2 before demo_10
@@ -72,23 +72,23 @@ def test_robomimic_numbers_come_over_as_they_are(tmp_path: Path) -> None:
     assert note["splits"] == {"train": [k for k in range(12) if k % 3], "valid": [0, 3, 6, 9]}
 
 
-def test_what_is_imported_can_be_chosen(tmp_path: Path) -> None:
+def test_keys_and_masks_can_be_selected(tmp_path: Path) -> None:
     source = robomimic(tmp_path / "image.hdf5")
     config = RobomimicConfig(state=("robot0_joint_pos",), achieved=(), cameras=(), mask="valid", fps=5)
-    store = import_recordings(RobomimicFile(source, config), tmp_path / "store")
+    store = import_recordings(config.build(source), tmp_path / "store")
     assert store.indices().tolist() == [0, 3, 6, 9]
     assert store.spec.state_names == tuple(f"robot0_joint_pos.{k}" for k in range(7))
     assert (store.spec.achieved_names, store.cameras(), store.spec.fps) == ((), {}, 5)
-    for wrong, words in (
+    for wrong, message in (
         (RobomimicConfig(mask="vald"), "no mask 'vald'; did you mean `valid`"),
         (RobomimicConfig(state=("robot0_eef_poss",)), "did you mean `robot0_eef_pos`"),
         (RobomimicConfig(cameras=("front",)), "cameras: .* has no 'front'"),
     ):
-        with pytest.raises(UsageError, match=words):
-            RobomimicFile(source, wrong)
+        with pytest.raises(UsageError, match=message):
+            wrong.build(source)
 
 
-def test_an_interrupted_import_goes_on_and_nothing_comes_twice(tmp_path: Path) -> None:
+def test_an_interrupted_import_resumes_without_duplicates(tmp_path: Path) -> None:
     source, out = robomimic(tmp_path / "low_dim.hdf5"), tmp_path / "store"
 
     def stop(done: int) -> None:
@@ -103,7 +103,7 @@ def test_an_interrupted_import_goes_on_and_nothing_comes_twice(tmp_path: Path) -
     assert len(store) == 12
     assert inodes.items() <= {path.name: path.stat().st_ino for path in (out / "episodes").iterdir()}.items()
     with pytest.raises(UsageError, match="imported with another mask"):
-        import_recordings(RobomimicFile(source, RobomimicConfig(mask="train")), out)
+        import_recordings(RobomimicFile(source, mask="train"), out)
     (out / "import.json").unlink()
     with pytest.raises(UsageError, match=r"not made by `playlearn import`"):
         import_recordings(RobomimicFile(source), out)
@@ -143,17 +143,17 @@ BROKEN = {
 @pytest.mark.slow
 @pytest.mark.parametrize("what", BROKEN)
 def test_a_broken_demonstration_is_named_and_can_be_left_out(what: str, tmp_path: Path) -> None:
-    change, words = BROKEN[what]
-    source, out, said = robomimic(tmp_path / "a.hdf5", change=change), tmp_path / "store", []
-    with pytest.raises(StoreError, match=rf"demo_4.*{words}"):
+    change, message = BROKEN[what]
+    source, out, messages = robomimic(tmp_path / "a.hdf5", change=change), tmp_path / "store", []
+    with pytest.raises(StoreError, match=rf"demo_4.*{message}"):
         import_recordings(RobomimicFile(source), out)
-    store = import_recordings(RobomimicFile(source), out, skip_broken=True, say=said.append)
+    store = import_recordings(RobomimicFile(source), out, skip_broken=True, say=messages.append)
     assert store.indices().tolist() == [k for k in range(12) if k != 4]
-    assert len(said) == 1
-    assert "demo_4" in said[0]
+    assert len(messages) == 1
+    assert "demo_4" in messages[0]
 
 
-def test_files_that_are_none_of_it_are_told_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_files_of_other_formats_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "text.hdf5").write_text("hello")
     whole = robomimic(tmp_path / "whole.hdf5").read_bytes()
     (tmp_path / "half.hdf5").write_bytes(whole[: len(whole) // 2])
@@ -163,21 +163,21 @@ def test_files_that_are_none_of_it_are_told_so(tmp_path: Path, capsys: pytest.Ca
         file["x"] = 1
     robomimic(tmp_path / "mask.hdf5", demos=2, change=_without("demo_1"))
     robomimic(tmp_path / "raw.hdf5", demos=1, change=_without("demo_0/obs"))
-    for name, words in (
+    for name, message in (
         ("missing", "there is no file"),
-        ("text", "is no HDF5 file"),
-        ("half", "not a whole one"),
+        ("text", "is not an HDF5 file"),
+        ("half", "is incomplete"),
         ("empty", "holds no demonstration"),
         ("other", "has no group `data`"),
         ("mask", "mask 'train' names demo_1, and there is no such demonstration"),
         ("raw", "playlearn import robosuite"),
     ):
         assert main(["import", "robomimic", str(tmp_path / f"{name}.hdf5"), str(tmp_path / "out")]) == 1
-        assert words in capsys.readouterr().err
+        assert message in capsys.readouterr().err
         assert not (tmp_path / "out").exists()
 
 
-def test_the_command_says_what_it_did(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_a_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = robomimic(tmp_path / "a.hdf5")
     assert main(["import", "robomimic", str(source), str(tmp_path / "out"), "--mask", "train"]) == 0
     assert "8 episodes, " in capsys.readouterr().out
@@ -219,7 +219,7 @@ def test_ogbench_rows_become_episodes(tmp_path: Path) -> None:
     assert store.verify() == []
 
 
-def test_an_import_that_goes_on_reads_what_it_skips_to(tmp_path: Path) -> None:
+def test_a_resumed_import_skips_rows(tmp_path: Path) -> None:
     source = ogbench(tmp_path / "a.npz")
     found = dict(OgbenchFile(source).read([0, 1, 2]))
     [(_, last)] = list(OgbenchFile(source).read([2]))
@@ -227,8 +227,8 @@ def test_an_import_that_goes_on_reads_what_it_skips_to(tmp_path: Path) -> None:
     np.testing.assert_array_equal(last.state, found[2].state)
 
 
-def test_memory_is_bounded_by_what_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A stream is asked for no more bytes at once than rows were taken, or `at_once` where they are passed over."""
+def test_memory_is_bounded_by_the_rows_that_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stream reads no more bytes at once than the rows taken, or `at_once` while skipping."""
     source, asked = ogbench(tmp_path / "a.npz"), []
     begin = npz_module._begin
 
@@ -252,19 +252,19 @@ def test_memory_is_bounded_by_what_is_taken(tmp_path: Path, monkeypatch: pytest.
     np.testing.assert_array_equal(taken, np.load(source)["observations"][10:12])
 
 
-def test_broken_npz_is_told_so(tmp_path: Path) -> None:
+def test_broken_npz_is_refused(tmp_path: Path) -> None:
     rows = 13
     objects = np.array([{"a": 1}] * rows, dtype=object)
-    for name, other, words in (
+    for name, other, message in (
         ("objects", {"actions": objects}, "holds Python objects, which are not read"),
-        ("short", {"actions": np.zeros((rows - 1, 5), np.float32)}, "do not have as many rows each"),
+        ("short", {"actions": np.zeros((rows - 1, 5), np.float32)}, "differ in their number of rows"),
         ("open", {"terminals": np.zeros(rows, bool)}, "last row does not end an episode"),
         ("images", {"observations": np.zeros((rows, 8, 8, 3), np.uint8)}, "holds images"),
-        ("maze", {"observations": np.zeros((rows, 29), np.float32)}, "neither those of a cube world"),
-        ("ant", {"actions": np.zeros((rows, 8), np.float32)}, "not those of a manipulation world"),
+        ("maze", {"observations": np.zeros((rows, 29), np.float32)}, "neither a cube environment"),
+        ("ant", {"actions": np.zeros((rows, 8), np.float32)}, "not those of a manipulation environment"),
         ("columns", {"observations": np.asfortranarray(np.zeros((rows, 28), np.float32))}, "column by column"),
     ):
-        with pytest.raises(StoreError, match=words):
+        with pytest.raises(StoreError, match=message):
             OgbenchFile(ogbench(tmp_path / f"{name}.npz", **other))
     nan = np.zeros((rows, 5), np.float32)
     nan[5] = np.nan
@@ -274,7 +274,7 @@ def test_broken_npz_is_told_so(tmp_path: Path) -> None:
     assert list(alone.problems()) == [1]
     whole = (tmp_path / "nan.npz").read_bytes()
     (tmp_path / "half.npz").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(StoreError, match="not a whole one"):
+    with pytest.raises(StoreError, match="is incomplete"):
         OgbenchFile(tmp_path / "half.npz")
     with zipfile.ZipFile(tmp_path / "few.npz", "w") as archive, archive.open("terminals.npy", "w") as stream:
         np.lib.format.write_array(stream, np.array([False, True]))

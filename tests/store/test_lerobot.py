@@ -1,4 +1,4 @@
-"""What is exported is what LeRobot reads."""
+"""Export to LeRobot: what is written is what LeRobot reads."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,7 +15,7 @@ from playlearn.store.lerobot.content import PLAY, Content, Play
 from playlearn.store.lerobot.export import Codec, export_lerobot, write_lerobot
 from tests.synthetic import SKILLS, make_episode, make_store
 
-# What LeRobot and the packages below it warn of is theirs to mend.
+# What LeRobot and the packages below it warn of is theirs to fix.
 pytestmark = pytest.mark.filterwarnings("ignore")
 LENGTHS = (30, 12, 25)
 CAMERAS = {"front": (48, 64), "wrist": (48, 48)}
@@ -30,7 +30,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> NativeStore:
 
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Where LeRobot keeps its copy of what it opens, instead of the user's own cache."""
+    """A folder for LeRobot's cache, instead of the user's."""
     import datasets
 
     with pytest.MonkeyPatch.context() as patch:
@@ -79,7 +79,7 @@ def test_lerobot_reads_every_frame_back(store: NativeStore, exported: Path) -> N
 
 @pytest.mark.slow
 @pytest.mark.parametrize("codec", ["av1", "h264"])
-def test_videos_read_back_much_alike(store: NativeStore, cache: Path, tmp_path: Path, codec: Codec) -> None:
+def test_videos_read_back_with_little_loss(store: NativeStore, cache: Path, tmp_path: Path, codec: Codec) -> None:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     fidelity = export_lerobot(store, tmp_path / "films", videos=codec)
@@ -88,9 +88,9 @@ def test_videos_read_back_much_alike(store: NativeStore, cache: Path, tmp_path: 
     picture = np.moveaxis(dataset[40]["observation.images.front"].numpy() * 255, 0, -1)
     # Frame 40 of the dataset is frame 10 of the second episode, which is 12 long.
     error = np.square(picture - store.read(1).images["front"][10]).mean()
-    # What was said of the worst episode holds for one of its frames to within a few dB.
+    # The PSNR of the worst episode holds for one of its frames to within a few dB.
     assert 10 * np.log10(255**2 / error) > fidelity["front"].worst - 4
-    assert fidelity["front"].worst <= fidelity["front"].mean < 60  # lossy, and said to be
+    assert fidelity["front"].worst <= fidelity["front"].mean < 60  # lossy
 
 
 def test_a_store_without_images_can_be_exported(cache: Path, tmp_path: Path) -> None:
@@ -100,7 +100,7 @@ def test_a_store_without_images_can_be_exported(cache: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-def test_skills_are_subtasks_for_who_asks(store: NativeStore, cache: Path, tmp_path: Path) -> None:
+def test_skills_can_be_exported_as_subtasks(store: NativeStore, cache: Path, tmp_path: Path) -> None:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     write_lerobot(Play(store, annotated=True), tmp_path / "out")
@@ -115,7 +115,7 @@ def test_skills_are_subtasks_for_who_asks(store: NativeStore, cache: Path, tmp_p
         assert {row["style"] for row in begun} == {"subtask"}
 
 
-def test_success_is_told_where_every_episode_had_a_task(tmp_path: Path) -> None:
+def test_success_is_exported_if_every_episode_has_a_task(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     tried = [make_episode(rng, 5, task="open the drawer", ended=ended) for ended in ("stopped", "length")]
     tried[0].intervention.flags.writeable = True
@@ -130,12 +130,12 @@ def test_success_is_told_where_every_episode_had_a_task(tmp_path: Path) -> None:
     assert "next.success" not in content.features() | content.entry(0).columns
 
 
-def test_what_cannot_be_exported_is_said(store: NativeStore, exported: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_exported_is_refused(store: NativeStore, exported: Path, tmp_path: Path) -> None:
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "file").touch()
     with pytest.raises(StoreError, match="already exists: name another folder"):
         export_lerobot(store, tmp_path / "taken")
-    with pytest.raises(StoreError, match="is there already, a LeRobot dataset"):
+    with pytest.raises(StoreError, match="already exists, a LeRobot dataset"):
         export_lerobot(store, exported)
     empty = NativeStore.create(tmp_path / "empty", store.spec)
     with pytest.raises(StoreError, match="nothing to export"):
@@ -158,7 +158,7 @@ def test_a_failure_leaves_nothing_behind(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_export_that_reads_back_otherwise_is_discarded(
+def test_an_export_that_reads_back_differently_is_discarded(
     store: NativeStore, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     actual = exporting._write

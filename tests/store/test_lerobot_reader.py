@@ -1,4 +1,4 @@
-"""A LeRobot dataset is a store: ours comes back equal, anybody's can be trained on, and what is broken is named."""
+"""A LeRobot dataset as a store: ours reads back equal, any other can be trained on, and broken parts are named."""
 
 import json
 import shutil
@@ -20,10 +20,11 @@ from playlearn.store import LeRobotStoreConfig, NativeStore, Store, StoreConfig,
 from playlearn.store.importing import import_recordings
 from playlearn.store.lerobot import frames
 from playlearn.store.lerobot.export import export_lerobot
+from playlearn.store.lerobot.reader import LeRobotStore
 from playlearn.store.lerobot.recordings import LeRobotRecordings
 from tests.synthetic import make_store
 
-pytestmark = pytest.mark.filterwarnings("ignore")  # what LeRobot and the packages below it warn of is theirs to mend
+pytestmark = pytest.mark.filterwarnings("ignore")  # what LeRobot and the packages below it warn of is theirs to fix
 CAMERAS = {"front": (16, 24), "wrist": (16, 16)}
 STEPS, FPS = 30, 20
 
@@ -50,13 +51,13 @@ def copy(exported: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def theirs(copy: Path) -> Path:
-    """As somebody else would have written it: without what stands beside."""
+def without_sidecars(copy: Path) -> Path:
+    """As LeRobot itself writes it: without sidecars."""
     shutil.rmtree(copy / "meta" / "playlearn")
     return copy
 
 
-def opened(root: Path, **settings: Any) -> Store:
+def opened(root: Path, **settings: Any) -> LeRobotStore:
     return LeRobotStoreConfig(root=root, cache=root.parent / "frames", **settings).build()
 
 
@@ -73,29 +74,29 @@ def same(one: Store, other: Store, *, but: str = "none") -> None:
                 np.testing.assert_array_equal(its.arrays()[key], array)
 
 
-def test_what_was_exported_comes_back_equal(store: NativeStore, exported: Path) -> None:
+def test_an_export_reads_back_equal(store: NativeStore, exported: Path) -> None:
     back = opened(exported)
     same(store, back, but="none" if exported.name == "None" else "images")
     store.spec.check(back.spec)
     assert back.verify() == []
     assert back.info()["episodes"] == 3
-    # The last observation is no frame of a video, and is kept as it was.
+    # The last observation is in the sidecar, not in a video.
     np.testing.assert_array_equal(back.read(1).images["front"][-1], store.read(1).images["front"][-1])
 
 
-def test_anybodys_dataset_is_play_one_step_shorter(store: NativeStore, theirs: Path) -> None:
-    back = opened(theirs)
-    assert back.lengths().tolist() == [STEPS - 1] * 3  # nothing says where the last action led
+def test_a_dataset_without_sidecars_is_one_step_shorter(store: NativeStore, without_sidecars: Path) -> None:
+    back = opened(without_sidecars)
+    assert back.lengths().tolist() == [STEPS - 1] * 3  # the observation after the last action is missing
     mine, its = store.read(2), back.read(2)
     np.testing.assert_array_equal(its.state, mine.state[:-1])
     np.testing.assert_array_equal(its.achieved, mine.achieved[:-1])
     np.testing.assert_array_equal(its.action, mine.expert_action[:-1])
     np.testing.assert_array_equal(its.expert_action, its.action)
     np.testing.assert_allclose(its.time, np.arange(STEPS) / FPS)
-    # Tasks that change within an episode are what it calls its skills; one alone is its task.
-    said = [mine.meta.skills[skill] for skill in mine.skill[:-1]]
-    assert [(its.meta.skills or (its.meta.task,))[skill] for skill in its.skill] == said
-    assert bool(its.meta.skills) == (len(set(said)) > 1)
+    # Several tasks in an episode are read as its skills; a single one is its task.
+    skills = [mine.meta.skills[skill] for skill in mine.skill[:-1]]
+    assert [(its.meta.skills or (its.meta.task,))[skill] for skill in its.skill] == skills
+    assert bool(its.meta.skills) == (len(set(skills)) > 1)
     assert its.meta.state_names == mine.meta.state_names
 
 
@@ -108,33 +109,33 @@ def test_a_dataset_trains_as_a_store_does(store: NativeStore, copy: Path) -> Non
     assert one.goal_images["wrist"].shape == other.goal_images["wrist"].shape
 
 
-def test_frames_are_decoded_once_and_go_on_where_they_stopped(theirs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_are_decoded_once_and_cached(without_sidecars: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from playlearn.store.lerobot import reader
 
-    asked: list[int] = []
+    decoded_rows: list[int] = []
 
-    def counting(described: Any, row: Any, sizes: Any) -> Any:
-        asked.append(row.index)
-        return frames.decoded(described, row, sizes)
+    def counting(metadata: Any, row: Any, sizes: Any) -> Any:
+        decoded_rows.append(row.index)
+        return frames.decode_episode(metadata, row, sizes)
 
-    monkeypatch.setattr(reader, "decoded", counting)
-    one = opened(theirs)
+    monkeypatch.setattr(reader, "decode_episode", counting)
+    one = opened(without_sidecars)
     first = np.array(one.array(1, "observation.images.front"))
-    assert asked == [1]
-    again = opened(theirs)  # another process, after a kill
+    assert decoded_rows == [1]
+    again = opened(without_sidecars)  # another process, after a kill
     np.testing.assert_array_equal(again.array(1, "observation.images.front"), first)
     again.array(2, "observation.images.wrist")
-    assert asked == [1, 2]
-    smaller = opened(theirs, image_size=(8, 12))
+    assert decoded_rows == [1, 2]
+    smaller = opened(without_sidecars, image_size=(8, 12))
     assert smaller.array(1, "observation.images.front").shape == (STEPS, 8, 12, 3)
-    assert asked == [1, 2, 1]
-    cached = next((theirs.parent / "frames").rglob("000001.safetensors"))
-    cached.write_bytes(cached.read_bytes()[:100])  # cut short, by a full disk say
-    opened(theirs, image_size=(8, 12)).array(1, "observation.images.front")
-    assert asked == [1, 2, 1, 1]
+    assert decoded_rows == [1, 2, 1]
+    cached = next((without_sidecars.parent / "frames").rglob("000001.safetensors"))
+    cached.write_bytes(cached.read_bytes()[:100])  # cut short, as by a full disk
+    opened(without_sidecars, image_size=(8, 12)).array(1, "observation.images.front")
+    assert decoded_rows == [1, 2, 1, 1]
 
 
-def test_a_folder_says_what_kind_of_store_it_is(store: NativeStore, exported: Path) -> None:
+def test_the_kind_of_a_store_is_found_from_its_folder(store: NativeStore, exported: Path) -> None:
     assert open_store(exported).info()["format"] == "lerobot"
     assert open_store(store.path).info()["format"] == "playlearn"
     assert isinstance(from_dict(StoreConfig, {"type": "lerobot", "root": "x"}), LeRobotStoreConfig)  # type: ignore[type-abstract]
@@ -212,100 +213,103 @@ def cut(path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_what_is_broken_is_named(theirs: Path, name: str) -> None:
-    damage, words = BROKEN[name]
-    damage(theirs)
-    with pytest.raises(StoreError, match=words):
-        opened(theirs)
+def test_what_is_broken_is_named(without_sidecars: Path, name: str) -> None:
+    damage, message = BROKEN[name]
+    damage(without_sidecars)
+    with pytest.raises(StoreError, match=message):
+        opened(without_sidecars)
 
 
-def test_episodes_that_are_whole_can_be_used(theirs: Path, store: NativeStore) -> None:
-    BROKEN["not a number"][0](theirs)
-    left = opened(theirs, skip_broken=True)
+def test_intact_episodes_can_be_used(without_sidecars: Path, store: NativeStore) -> None:
+    BROKEN["not a number"][0](without_sidecars)
+    left = opened(without_sidecars, skip_broken=True)
     assert left.indices().tolist() == [0, 2]
     np.testing.assert_array_equal(left.array(1, "action"), store.array(2, "expert_action")[:-1])
 
 
 @pytest.mark.parametrize("length", [0, 1])
-def test_an_episode_of_no_or_one_frame_teaches_nothing(theirs: Path, length: int) -> None:
+def test_an_episode_of_no_or_one_frame_is_refused(without_sidecars: Path, length: int) -> None:
     def shorten(table: pa.Table) -> pa.Table:
         return pa.concat_tables([table.slice(0, 60), table.slice(60, length)])
 
-    rewrite(theirs / DATA, shorten)
-    rewrite(theirs / EPISODES, lambda t: column(t, "length", lambda a: put(a, 2, length)))
-    info(theirs, total_frames=60 + length)
+    rewrite(without_sidecars / DATA, shorten)
+    rewrite(without_sidecars / EPISODES, lambda t: column(t, "length", lambda a: put(a, 2, length)))
+    info(without_sidecars, total_frames=60 + length)
     with pytest.raises(StoreError, match=rf"episode 2: {length} frames are too few(.|\n)*2 of 3 episodes can be used"):
-        opened(theirs)
-    assert len(opened(theirs, skip_broken=True)) == 2
+        opened(without_sidecars)
+    assert len(opened(without_sidecars, skip_broken=True)) == 2
 
 
-def test_what_stands_beside_must_belong_to_it(copy: Path) -> None:
-    beside = copy / "meta" / "playlearn"
-    (beside / "000001.safetensors").unlink()
+def test_a_missing_sidecar_is_named(copy: Path) -> None:
+    sidecars = copy / "meta" / "playlearn"
+    (sidecars / "000001.safetensors").unlink()
     with pytest.raises(StoreError, match=r"000001.safetensors cannot be read(.|\n)*remove meta/playlearn/"):
         opened(copy)
     assert opened(copy, skip_broken=True).indices().tolist() == [0, 2]
 
 
-def test_videos_that_are_missing_or_too_short_are_named(theirs: Path) -> None:
-    films = sorted(theirs.glob("videos/*/*/*.mp4"))
-    if not films:
+def test_videos_that_are_missing_or_too_short_are_named(without_sidecars: Path) -> None:
+    videos = sorted(without_sidecars.glob("videos/*/*/*.mp4"))
+    if not videos:
         pytest.skip("no videos")
-    rewrite(theirs / EPISODES, lambda t: column(t, "videos/observation.images.wrist/from_timestamp", lambda a: a + 1.0))
+    rewrite(
+        without_sidecars / EPISODES,
+        lambda t: column(t, "videos/observation.images.wrist/from_timestamp", lambda a: a + 1.0),
+    )
     with pytest.raises(
         StoreError, match=r"episode 2: videos/observation.images.wrist/.* ends at 4.50 s, the episode at 5.50"
     ):
-        opened(theirs)
-    assert opened(theirs, skip_broken=True).indices().tolist() == [0, 1]
-    for film in films:
-        film.unlink()
+        opened(without_sidecars)
+    assert opened(without_sidecars, skip_broken=True).indices().tolist() == [0, 1]
+    for video in videos:
+        video.unlink()
     with pytest.raises(StoreError, match="3 of 3 without their images: `without_images: true`"):
-        opened(theirs, skip_broken=True)
-    blind = opened(theirs, without_images=True)
-    assert len(blind) == 3
-    assert blind.cameras() == {}
-    assert blind.verify() == []
+        opened(without_sidecars, skip_broken=True)
+    numbers_only = opened(without_sidecars, without_images=True)
+    assert len(numbers_only) == 3
+    assert numbers_only.cameras() == {}
+    assert numbers_only.verify() == []
 
 
-def test_a_video_that_was_not_fetched_whole_is_named(theirs: Path) -> None:
-    """Also where its index stands first, as where videos are made for the web: that promises what is not there."""
-    films = sorted(theirs.glob("videos/*/*/*.mp4"))
-    if not films:
+def test_an_incomplete_video_is_named(without_sidecars: Path) -> None:
+    """Also if its index is at the front, as in videos for the web, and lists frames that are missing."""
+    videos = sorted(without_sidecars.glob("videos/*/*/*.mp4"))
+    if not videos:
         pytest.skip("no videos")
-    other = films[0].with_suffix(".new.mp4")
-    with av.open(str(films[0])) as old, av.open(str(other), "w", options={"movflags": "faststart"}) as new:
+    other = videos[0].with_suffix(".new.mp4")
+    with av.open(str(videos[0])) as old, av.open(str(other), "w", options={"movflags": "faststart"}) as new:
         new_stream = new.add_stream_from_template(old.streams.video[0])
         for packet in old.demux(video=0):
             if packet.dts is not None:
                 packet.stream = new_stream
                 new.mux(packet)
-    other.replace(films[0])
-    assert opened(theirs).verify() == []
-    cut(films[0])
+    other.replace(videos[0])
+    assert opened(without_sidecars).verify() == []
+    cut(videos[0])
     with pytest.raises(StoreError, match=r"\.mp4 is cut short at .* bytes: fetch it again \(episodes 0 to 2"):
-        opened(theirs)
+        opened(without_sidecars)
 
 
-def test_a_dataset_without_the_features_asked_for_says_which_it_has(theirs: Path) -> None:
+def test_a_missing_feature_is_named_with_those_that_exist(without_sidecars: Path) -> None:
     with pytest.raises(
         StoreError, match=r"no feature 'observation.joints' for the state; it has observation.state, .*set `state`"
     ):
-        opened(theirs, state="observation.joints")
+        opened(without_sidecars, state="observation.joints")
 
 
-def test_it_can_be_imported_too(copy: Path, store: NativeStore, tmp_path: Path) -> None:
-    made = import_recordings(LeRobotRecordings(LeRobotStoreConfig(root=copy, cache=tmp_path / "f")), tmp_path / "store")
+def test_it_can_be_imported(copy: Path, store: NativeStore, tmp_path: Path) -> None:
+    made = import_recordings(LeRobotRecordings(opened(copy, skip_broken=True)), tmp_path / "store")
     for i in range(3):
         np.testing.assert_array_equal(made.array(i, "sim.state"), store.array(i, "sim.state"))
         assert made.meta(i) == store.meta(i)
     BROKEN["not a number"][0](copy)
-    broken = LeRobotRecordings(LeRobotStoreConfig(root=copy, cache=tmp_path / "f"))
+    broken = LeRobotRecordings(opened(copy, skip_broken=True))
     with pytest.raises(StoreError, match=r"1 of 3 recordings are broken(.|\n)*episode 1: action is not finite"):
         import_recordings(broken, tmp_path / "other")
     assert len(import_recordings(broken, tmp_path / "other", skip_broken=True)) == 2
 
 
-def test_the_hub_is_asked_only_for_a_name_that_is_not_here(
+def test_the_hub_is_used_only_for_a_dataset_that_is_not_local(
     exported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import huggingface_hub

@@ -1,4 +1,4 @@
-"""What a store promises: whole episodes or none, one writer, and a word of advice for every mishap."""
+"""Guarantees of a store: whole episodes or none, one writer, and errors that say what to do."""
 
 import dataclasses
 import errno
@@ -31,7 +31,7 @@ def same(one: Episode, other: Episode) -> bool:
     return equal and json.dumps(vars(one.meta), default=dict) == json.dumps(vars(other.meta), default=dict)
 
 
-def test_what_is_read_is_what_was_written(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_episodes_read_back_equal(tmp_path: Path, rng: np.random.Generator) -> None:
     episode = make_episode(rng, 30, {"front": (8, 12), "wrist": (4, 4)}, seed=7)
     store = NativeStore.create(tmp_path / "play", StoreSpec.of(episode))
     with store.writer() as writer:
@@ -89,7 +89,7 @@ def test_episodes_come_in_any_order_and_are_read_by_number(tmp_path: Path, rng: 
         store.read(4)
 
 
-def test_a_reader_keeps_to_what_it_opened_until_it_looks_again(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_a_reader_shows_new_episodes_after_refresh(tmp_path: Path, rng: np.random.Generator) -> None:
     store = make_store(tmp_path / "play", rng, 1, 5)
     reader = open_store(store.path)
     write_episode(store.path, 1, make_episode(rng, 5))
@@ -136,14 +136,14 @@ with store.writer() as writer:
 """
 
 
-def test_a_killed_writer_leaves_the_store_whole(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_a_killed_writer_leaves_the_store_intact(tmp_path: Path, rng: np.random.Generator) -> None:
     store = make_store(tmp_path / "play", rng, 2, 20)
     env = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
     killed = subprocess.run([sys.executable, "-c", KILLED, str(store.path)], env=env, check=False, timeout=600)
     assert killed.returncode == -9
     assert len(list((store.path / "episodes").iterdir())) == 3  # the half-written one is there ...
     again = NativeStore.open(store.path)
-    assert len(again) == 2  # ... and nobody reads it
+    assert len(again) == 2  # ... and no reader sees it
     assert again.verify() == []
     with again.writer() as writer:  # the dead writer's lock is free, its leavings are swept
         assert len(list((store.path / "episodes").iterdir())) == 2
@@ -189,7 +189,7 @@ def test_verify_finds_a_flipped_bit(tmp_path: Path, rng: np.random.Generator, wh
     assert "checksum" in problems[0]
 
 
-def test_a_cut_file_is_named_when_the_store_is_opened(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_a_truncated_file_is_named_when_the_store_is_opened(tmp_path: Path, rng: np.random.Generator) -> None:
     store = make_store(tmp_path / "play", rng, 2, 20)
     path = episode_path(store.path, 1)
     whole = path.read_bytes()
@@ -217,7 +217,7 @@ def test_a_nan_never_becomes_an_episode(rng: np.random.Generator) -> None:
         ({"action_names": ("dx", "dy", "dz", "grip")}, "action_names"),
     ],
 )
-def test_an_episode_of_another_world_is_refused(
+def test_an_episode_of_another_environment_is_refused(
     tmp_path: Path, rng: np.random.Generator, change: dict[str, object], message: str
 ) -> None:
     store = make_store(tmp_path / "play", rng, 1, 10)
@@ -240,7 +240,7 @@ def test_an_episode_with_other_cameras_is_refused(tmp_path: Path, rng: np.random
             writer.append(make_episode(rng, 10, cameras))
 
 
-def test_what_is_no_store_is_told_apart(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_other_folders_are_refused(tmp_path: Path, rng: np.random.Generator) -> None:
     with pytest.raises(StoreError, match=r"there is no store at .*nowhere.*playlearn collect"):
         open_store(tmp_path / "nowhere")
     with pytest.raises(StoreError, match="is not a store"):
@@ -307,6 +307,6 @@ def test_info_counts_what_is_there(tmp_path: Path, rng: np.random.Generator) -> 
     assert info["bytes"] == sum(path.stat().st_size for path in (store.path / "episodes").iterdir())
 
 
-def test_its_config_opens_it(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_a_config_opens_its_store(tmp_path: Path, rng: np.random.Generator) -> None:
     make_store(tmp_path / "play", rng, 1, 5)
     assert len(NativeStoreConfig(tmp_path / "play").build()) == 1

@@ -1,4 +1,4 @@
-"""A store as robomimic's HDF5: what it says, what comes back, and that a failure leaves nothing."""
+"""Export to robomimic's HDF5: its content, what reads back, and that a failure leaves nothing."""
 
 import json
 from pathlib import Path
@@ -25,7 +25,7 @@ MASKS = {"train": [1, 10], "valid": [2]}
 
 @pytest.fixture
 def store(tmp_path: Path) -> NativeStore:
-    """Episodes 1, 2 and 10: the first reached its task, the second did not, the third is play."""
+    """Episodes 1, 2 and 10: the first succeeded at its task, the second did not, the third is play."""
     rng = np.random.default_rng(0)
     ends = {1: ("lift", "stopped"), 2: ("lift", "length"), 10: ("", "stopped")}
     made = {n: make_episode(rng, 20 + n, CAMERAS, seed=n, task=task, ended=end) for n, (task, end) in ends.items()}
@@ -36,7 +36,7 @@ def store(tmp_path: Path) -> NativeStore:
     return store
 
 
-def test_what_was_exported_comes_back_but_for_the_last_step(store: NativeStore, tmp_path: Path) -> None:
+def test_an_export_reads_back_without_the_last_step(store: NativeStore, tmp_path: Path) -> None:
     export_robomimic(store, tmp_path / "a.hdf5", MASKS)
     back = import_recordings(RobomimicFile(tmp_path / "a.hdf5"), tmp_path / "back")
     assert back.indices().tolist() == [1, 2, 10]  # the numbers they were recorded under, in numeric order
@@ -53,26 +53,26 @@ def test_what_was_exported_comes_back_but_for_the_last_step(store: NativeStore, 
         np.testing.assert_array_equal(demo["next_obs/object"][-1], mine.achieved[-1])  # here it is
         np.testing.assert_array_equal(demo["next_obs/front_image"], mine.images["front"][1:])
         assert (demo.attrs["num_samples"], demo["dones"][()].tolist()) == (30, [0] * 29 + [1])
-        told = json.loads(file["data"].attrs["env_args"])["playlearn"]
-    assert told["environment"] == {"type": "synthetic", "objects": 3}
-    assert told["names"]["action"] == ["dx", "dy", "dz", "gripper"]
+        description = json.loads(file["data"].attrs["env_args"])["playlearn"]
+    assert description["environment"] == {"type": "synthetic", "objects": 3}
+    assert description["names"]["action"] == ["dx", "dy", "dz", "gripper"]
 
 
-def test_masks_are_what_training_holds_out(store: NativeStore, tmp_path: Path) -> None:
+def test_masks_are_the_validation_split(store: NativeStore, tmp_path: Path) -> None:
     export_robomimic(store, tmp_path / "a.hdf5", MASKS)
     back = import_recordings(RobomimicFile(tmp_path / "a.hdf5"), tmp_path / "back")
     assert [back.meta(i).split for i in range(3)] == ["train", "val", "train"]
     data = DataConfig(goals=UniformConfig())
     shown = {split: PlayDataset(back, data, split).episodes.tolist() for split in ("train", "val")}
     assert shown == {"train": [0, 2], "val": [1]}
-    assert not val_mask(back, 0.0).any()  # who wants nothing held out gets all
+    assert not val_mask(back, 0.0).any()  # without a validation split all are for training
     # Nothing would be left to one side: then numbers decide, as for any play.
     for name, config in {"one": RobomimicConfig(mask="train"), "other": RobomimicConfig(mask="valid")}.items():
-        part = import_recordings(RobomimicFile(tmp_path / "a.hdf5", config), tmp_path / name)
+        part = import_recordings(config.build(tmp_path / "a.hdf5"), tmp_path / name)
         assert {part.meta(i).split for i in range(len(part))} == {""}
 
 
-def test_the_command_masks_what_training_would_hold_out(store: NativeStore, tmp_path: Path) -> None:
+def test_the_command_writes_the_validation_split_as_a_mask(store: NativeStore, tmp_path: Path) -> None:
     out = tmp_path / "a.hdf5"
     assert main(["export", "robomimic", str(store.path), str(out)]) == 0
     val = store.indices()[val_mask(store, DataConfig().val_fraction)].tolist()

@@ -1,4 +1,4 @@
-"""robosuite's raw demonstrations: what was to be seen is read in each one's own model, wherever it was recorded."""
+"""robosuite's raw demonstrations: observations are computed with each one's own model."""
 
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ def lift() -> Any:
 
 
 def raw(path: Path, env: Any, demos: int = 3, xml: str | None = None) -> Path:
-    """A file as `collect_human_demonstrations` writes it, by somebody else on another machine."""
+    """A file as `collect_human_demonstrations` writes it, on another machine."""
     elsewhere = (env._xml if xml is None else xml).replace(HOME, "/opt/somebody/robosuite")
     with h5py.File(path, "w") as file:
         data = file.create_group("data")
@@ -39,7 +39,7 @@ def raw(path: Path, env: Any, demos: int = 3, xml: str | None = None) -> Path:
     return path
 
 
-def test_hand_and_cube_are_where_the_world_had_them(lift: Any, tmp_path: Path) -> None:
+def test_end_effector_and_cube_have_their_simulated_positions(lift: Any, tmp_path: Path) -> None:
     store = import_recordings(RobosuiteFile(raw(tmp_path / "demo.hdf5", lift)), tmp_path / "out")
     assert store.indices().tolist() == [1, 2, 3]
     assert store.spec.environment["type"] == "robosuite:Lift"
@@ -56,7 +56,7 @@ def test_hand_and_cube_are_where_the_world_had_them(lift: Any, tmp_path: Path) -
     assert store.verify() == []
 
 
-def test_what_is_no_demonstration_is_told_so(lift: Any, tmp_path: Path) -> None:
+def test_other_files_are_refused(lift: Any, tmp_path: Path) -> None:
     source = raw(tmp_path / "demo.hdf5", lift)
     with h5py.File(source, "a") as file:
         del file["data/demo_2/states"]
@@ -77,7 +77,7 @@ def test_what_is_no_demonstration_is_told_so(lift: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("xml", "words"),
+    ("xml", "message"),
     [
         ('<mujoco><asset><mesh name="a" file="/etc/passwd"/></asset></mujoco>', "which is not robosuite's"),
         (
@@ -86,9 +86,9 @@ def test_what_is_no_demonstration_is_told_so(lift: Any, tmp_path: Path) -> None:
         ),
         ('<mujoco><include file="/etc/passwd"/></mujoco>', "includes other files"),
         ("<mujoco><worldbody></mujoco>", "cannot be compiled"),
-        ("<mujoco><worldbody/></mujoco>", "has no hand"),
+        ("<mujoco><worldbody/></mujoco>", "has no end effector"),
     ],
 )
-def test_a_model_reads_nothing_but_robosuites_files(xml: str, words: str) -> None:
-    with pytest.raises(StoreError, match=words):
+def test_a_model_reads_nothing_but_robosuites_files(xml: str, message: str) -> None:
+    with pytest.raises(StoreError, match=message):
         Scene(xml, "demo_1")

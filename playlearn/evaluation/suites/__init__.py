@@ -1,1 +1,1 @@
-"""The kinds of suites: where start states and goals come from, one file a kind."""
+"""The kinds of suites, one file each: where start states and goals come from."""

@@ -7,7 +7,7 @@ from typing import Self
 
 from playlearn.episode import Array
 from playlearn.errors import PlaylearnError, UsageError
-from playlearn.evaluation.goal_generation import DRAWS, GoalGeneration, beginnings, names_of
+from playlearn.evaluation.goal_generation import DRAWS, GoalGeneration, names_of, start_states
 from playlearn.evaluation.suite import EvalEpisode, Judge, SuiteKind, derived_seed
 from playlearn.rollout import Actor
 from playlearn.sim.environment import Environment
@@ -16,24 +16,26 @@ from playlearn.sim.environment import Environment
 @SuiteKind.register_subclass("chains")
 @dataclass(frozen=True)
 class ChainsConfig(SuiteKind):
-    """Each goal is what the expert reached from where the goal before it shows the world; see `sequence`.
+    """Goals in a row; each is the state that the expert reached from the previous goal (see `sequence`).
 
-    The policy goes on from wherever it really is, and each goal has `max_steps` of its own; a chain ends at the
-    first that is not reached. A link is judged as its task, from the state in which the policy began it, so that
-    only what it changed counts, as in CALVIN; or it is reached because everything is where the goal shows it.
+    The policy goes on from wherever it really is, and each goal has its own `max_steps`. A chain ends at the first
+    goal that is not reached. Success is that of the goal's task, from the state in which the policy began it, so that
+    only its own changes count, as in CALVIN; or everything is where the goal shows it.
 
-    tasks: what is drawn from (null: all that the environment has). links: goals in a row. rest, rest_seconds: see
-    `TasksConfig`.
+    tasks: that goals are drawn from (null: all of the environment).
+    num_goals: goals in a row.
+    rest: see `TasksConfig`.
+    rest_seconds: see `TasksConfig`.
     """
 
     tasks: tuple[str, ...] | None = None
-    links: int = 5
+    num_goals: int = 5
     rest: float = 0.003
     rest_seconds: float = 0.5
 
     def __post_init__(self) -> None:
-        if self.links < 1:
-            raise UsageError(f"kind.links must be 1 or more, got {self.links}")
+        if self.num_goals < 1:
+            raise UsageError(f"kind.num_goals must be 1 or more, got {self.num_goals}")
 
     def prepare(self, run: Path | None) -> Self:
         return self
@@ -41,35 +43,35 @@ class ChainsConfig(SuiteKind):
     def judge(self, environment: Environment, task: str) -> Judge:
         judge = environment.tasks[task].judge
 
-        def content(start: Array, achieved: Array, goal: Array) -> bool:
-            # What went wrong, or by luck right, before may have left the task nothing to do that its judge would see.
+        def success(start: Array, achieved: Array, goal: Array) -> bool:
+            # Earlier errors, or accidents, may have done the task before it begins; its judge would not count that.
             return judge(start, achieved, goal) or environment.reached(achieved, goal)
 
-        return content
+        return success
 
     def setup(
         self, environment: Environment, expert: Actor, episode: int, seed: int, max_steps: int, cameras: Sequence[str]
     ) -> EvalEpisode:
         names = names_of(environment, self.tasks)
-        demonstration = GoalGeneration(self.rest, self.rest_seconds)
+        generation = GoalGeneration(self.rest, self.rest_seconds)
         longest = 0
-        for draw, rng, start, start_achieved in beginnings(environment, seed, episode):
-            links = demonstration.sequence(environment.clone(), expert, names, self.links, rng, max_steps, cameras)
-            longest = max(longest, len(links))
-            if len(links) < self.links:
+        for draw, rng, start, start_achieved in start_states(environment, seed, episode):
+            goals = generation.sequence(environment.clone(), expert, names, self.num_goals, rng, max_steps, cameras)
+            longest = max(longest, len(goals))
+            if len(goals) < self.num_goals:
                 continue
             return EvalEpisode(
                 episode=episode,
-                task=links[0].task,
-                start=start,
+                task=goals[0].task,
+                start_sim_state=start,
                 start_achieved=start_achieved,
-                goal=links[0].goal,
-                goal_sim_state=links[0].goal_sim_state,
+                goal=goals[0].goal,
+                goal_sim_state=goals[0].goal_sim_state,
                 seed=derived_seed(seed, episode),
                 redraws=draw,
-                then=tuple(links[1:]),
+                next_goals=tuple(goals[1:]),
             )
         raise PlaylearnError(
-            f"the expert did not do {self.links} tasks in a row in {DRAWS} draws of episode {episode}, at most "
-            f"{longest}. Ask for fewer `kind.links`, allow other `kind.tasks`, or raise max_steps ({max_steps})"
+            f"the expert did not do {self.num_goals} tasks in a row in {DRAWS} draws of episode {episode}, at most "
+            f"{longest}. Ask for fewer `kind.num_goals`, allow other `kind.tasks`, or raise max_steps ({max_steps})"
         )

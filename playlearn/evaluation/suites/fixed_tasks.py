@@ -1,4 +1,4 @@
-"""Tasks whose start and goal a benchmark gives: nobody has to reach the goal first."""
+"""Tasks whose start and goal a benchmark defines: no expert has to reach the goal first."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,9 +17,9 @@ from playlearn.sim.environment import Environment
 @SuiteKind.register_subclass("fixed_tasks")
 @dataclass(frozen=True)
 class FixedTasksConfig(SuiteKind):
-    """Episode e attempts task e modulo the number of tasks, from the start to the goal that the task itself poses.
+    """Episode e has task e modulo the number of tasks, from the task's own start to its own goal.
 
-    tasks: their names (null: all that the environment has).
+    tasks: names (null: all of the environment).
     """
 
     tasks: tuple[str, ...] | None = None
@@ -36,14 +36,14 @@ class FixedTasksConfig(SuiteKind):
         names = names_of(environment, self.tasks)
         task = environment.tasks[names[episode % len(names)]]
         if task.pose is None:
-            raise UsageError(f"kind: task {task.name!r} poses no goal of its own here; use a suite of `type: tasks`")
+            raise UsageError(f"kind: task {task.name!r} has no goal of its own here; use a suite of `type: tasks`")
         goal_sim_state = task.pose(environment, np.random.default_rng((seed, episode)))
         start, start_achieved = np.array(environment.sim_state()), achieved_now(environment)
         environment.set_state(goal_sim_state)
         return EvalEpisode(
             episode=episode,
             task=task.name,
-            start=start,
+            start_sim_state=start,
             start_achieved=start_achieved,
             goal=goal_from(environment, cameras),
             goal_sim_state=goal_sim_state,

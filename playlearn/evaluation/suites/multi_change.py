@@ -1,4 +1,4 @@
-"""Far goals: one image of a world in which several things have changed (as OGBench asks, Park et al. 2025)."""
+"""Distant goals: one goal in which several objects have changed (as in OGBench, Park et al. 2025)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from typing import Self
 
 from playlearn.episode import Array
 from playlearn.errors import PlaylearnError, UsageError
-from playlearn.evaluation.goal_generation import DRAWS, GoalGeneration, beginnings, names_of
+from playlearn.evaluation.goal_generation import DRAWS, GoalGeneration, names_of, start_states
 from playlearn.evaluation.objects import misplaced
 from playlearn.evaluation.suite import ChainGoal, EvalEpisode, Judge, SuiteKind, derived_seed
 from playlearn.rollout import Actor
@@ -17,13 +17,15 @@ from playlearn.sim.environment import Environment
 @SuiteKind.register_subclass("multi_change")
 @dataclass(frozen=True)
 class MultiChangeConfig(SuiteKind):
-    """The expert does several tasks in a row, and only where that led to is shown; judged on everything it shows.
+    """The expert does several tasks in a row; the goal is the final state, and success is all of it.
 
-    What each task was about is still so in the end, and at least as many things are elsewhere. An episode has
-    `max_steps` for each change.
+    The result of every task is still there in the final state, and at least as many objects have changed. An episode
+    has `max_steps` for each change.
 
-    changes: how many tasks; episode e has number e modulo how many are given. tasks, rest, rest_seconds: see
-    `TasksConfig`.
+    changes: numbers of tasks; episode e takes entry e modulo their count.
+    tasks: see `TasksConfig`.
+    rest: see `TasksConfig`.
+    rest_seconds: see `TasksConfig`.
     """
 
     changes: tuple[int, ...] = (2, 3)
@@ -45,22 +47,22 @@ class MultiChangeConfig(SuiteKind):
         self, environment: Environment, expert: Actor, episode: int, seed: int, max_steps: int, cameras: Sequence[str]
     ) -> EvalEpisode:
         names = names_of(environment, self.tasks)
-        demonstration = GoalGeneration(self.rest, self.rest_seconds)
+        generation = GoalGeneration(self.rest, self.rest_seconds)
         changes = self.changes[episode % len(self.changes)]
-        for draw, rng, start, start_achieved in beginnings(environment, seed, episode):
-            links = demonstration.sequence(environment.clone(), expert, names, changes, rng, max_steps, cameras)
-            if len(links) < changes or not _all_shown(environment, start_achieved, links):
+        for draw, rng, start, start_achieved in start_states(environment, seed, episode):
+            goals = generation.sequence(environment.clone(), expert, names, changes, rng, max_steps, cameras)
+            if len(goals) < changes or not _all_visible(environment, start_achieved, goals):
                 continue
             return EvalEpisode(
                 episode=episode,
                 task="1 change" if changes == 1 else f"{changes} changes",
-                start=start,
+                start_sim_state=start,
                 start_achieved=start_achieved,
-                goal=links[-1].goal,
-                goal_sim_state=links[-1].goal_sim_state,
+                goal=goals[-1].goal,
+                goal_sim_state=goals[-1].goal_sim_state,
                 seed=derived_seed(seed, episode),
                 redraws=draw,
-                made_by=", ".join(link.task for link in links),
+                expert_tasks=", ".join(goal.task for goal in goals),
                 max_steps=changes * max_steps,
             )
         raise PlaylearnError(
@@ -69,12 +71,12 @@ class MultiChangeConfig(SuiteKind):
         )
 
 
-def _all_shown(environment: Environment, start: Array, links: Sequence[ChainGoal]) -> bool:
-    """Whether what each task was about can still be seen in the last state, and in as many things."""
-    if len(misplaced(environment, start, links[-1].goal.achieved)) < len(links):
+def _all_visible(environment: Environment, start: Array, goals: Sequence[ChainGoal]) -> bool:
+    """Whether the result of every task is still there in the last state, and as many objects have changed."""
+    if len(misplaced(environment, start, goals[-1].goal.achieved)) < len(goals):
         return False
-    begins = [start, *(link.goal.achieved for link in links)]
+    starts = [start, *(goal.goal.achieved for goal in goals)]
     return all(
-        environment.tasks[link.task].judge(before, links[-1].goal.achieved, link.goal.achieved)
-        for before, link in zip(begins, links, strict=False)
+        environment.tasks[goal.task].judge(before, goals[-1].goal.achieved, goal.goal.achieved)
+        for before, goal in zip(starts, goals, strict=False)
     )

@@ -1,4 +1,4 @@
-"""Named tasks from random starts; the goal is what the expert really reached from that very start."""
+"""Named tasks from random starts; the goal is the state that the expert reached from the same start."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,10 +17,11 @@ from playlearn.sim.environment import Environment
 @SuiteKind.register_subclass("tasks")
 @dataclass(frozen=True)
 class TasksConfig(SuiteKind):
-    """Episode e attempts task e modulo the number of tasks, judged on what that task is about.
+    """Episode e has task e modulo the number of tasks; success is that of the task.
 
-    tasks: their names (null: all that the environment has). rest, rest_seconds: a goal counts as
-    reached by the expert once nothing of `achieved` moved more than `rest` for so long.
+    tasks: names (null: all of the environment).
+    rest: the expert's goal is settled once no dimension of `achieved` moves more than this ...
+    rest_seconds: ... for so long.
     """
 
     tasks: tuple[str, ...] | None = None
@@ -38,8 +39,8 @@ class TasksConfig(SuiteKind):
     ) -> EvalEpisode:
         names = names_of(environment, self.tasks)
         task = environment.tasks[names[episode % len(names)]]
-        demonstration = GoalGeneration(self.rest, self.rest_seconds)
-        why: str | None = "its start state did not suit"
+        generation = GoalGeneration(self.rest, self.rest_seconds)
+        failure: str | None = "its start state was not suitable"
         for draw in range(DRAWS):
             rng = np.random.default_rng((seed, episode, draw))
             environment.reset(int(rng.integers(2**31)))
@@ -47,21 +48,21 @@ class TasksConfig(SuiteKind):
             start, start_achieved = np.array(environment.sim_state()), achieved_now(environment)
             if environment.failure() is not None or not task.precondition(start_achieved):
                 continue
-            twin = environment.clone()
-            why = demonstration.drive(twin, expert, task, rng, max_steps)
-            if why:
+            copy = environment.clone()
+            failure = generation.drive(copy, expert, task, rng, max_steps)
+            if failure:
                 continue
             return EvalEpisode(
                 episode=episode,
                 task=task.name,
-                start=start,
+                start_sim_state=start,
                 start_achieved=start_achieved,
-                goal=goal_from(twin, cameras),
-                goal_sim_state=np.array(twin.sim_state()),
+                goal=goal_from(copy, cameras),
+                goal_sim_state=np.array(copy.sim_state()),
                 seed=derived_seed(seed, episode),
                 redraws=draw,
             )
         raise PlaylearnError(
-            f"the expert did not do task {task.name!r} in {DRAWS} draws of episode {episode} (the last: {why}), so "
+            f"the expert did not do task {task.name!r} in {DRAWS} draws of episode {episode} (the last: {failure}), so "
             f"there is no goal to show. Leave it out of the suite's `kind.tasks`, or raise max_steps ({max_steps})"
         )

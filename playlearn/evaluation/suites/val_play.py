@@ -27,13 +27,15 @@ RUN_CONFIG = "config.yaml"
 @SuiteKind.register_subclass("val_play")
 @dataclass(frozen=True)
 class ValPlayConfig(SuiteKind):
-    """From a moment of held-out play to a settled one `seconds` later, judged on everything it shows.
+    """From a moment of held-out play to a settled moment a few seconds later; success is `Environment.reached`.
 
-    The goal's simulator state is the recorded one, the arm wherever it was; success is
-    `Environment.reached`. The task's name is what changed on the way.
+    The goal's simulator state is the recorded one, with the arm where it was. The task is named after the objects
+    that changed.
 
-    store: where the play is (null: the store that the run was trained on). share: of the episodes
-    that was held out (null: as the run was trained). seconds: between which times the goal lies.
+    store: of the play (null: the store that the run was trained on).
+    val_fraction: fraction of the episodes that is held out (null: as in the run's training).
+    seconds: range of times from start to goal.
+    settling: how settled moments are found.
     """
 
     store: Path | StoreConfig | None = None
@@ -44,8 +46,8 @@ class ValPlayConfig(SuiteKind):
     def prepare(self, run: Path | None) -> Self:
         store, val_fraction = self.store, self.val_fraction
         if run is not None and (store is None or val_fraction is None):
-            trained_on, trained_share = _training(run)
-            store, val_fraction = store or trained_on, trained_share if val_fraction is None else val_fraction
+            trained_on, trained_fraction = _training(run)
+            store, val_fraction = store or trained_on, trained_fraction if val_fraction is None else val_fraction
         if store is None:
             raise UsageError("this suite needs play: name its store with `--kind.store PATH`, or give a --run")
         complete = replace(
@@ -68,7 +70,7 @@ class ValPlayConfig(SuiteKind):
     ) -> EvalEpisode:
         store, moments = self._candidates()
         if tuple(store.spec.achieved_names) != tuple(environment.spec.achieved_names):
-            raise StoreError(f"{self.store} holds play of another scene than this suite's; name a store of its own")
+            raise StoreError(f"{self.store} holds play of another environment than this suite's; name another store")
         rng = np.random.default_rng((seed, episode))
         for redraws, k in enumerate(rng.permutation(len(moments))):
             recorded, goal_at, changed = moments[k]
@@ -87,7 +89,7 @@ class ValPlayConfig(SuiteKind):
             return EvalEpisode(
                 episode=episode,
                 task=changed,
-                start=np.array(states[start_at]),
+                start_sim_state=np.array(states[start_at]),
                 start_achieved=np.array(achieved[start_at]),
                 goal=goal,
                 goal_sim_state=np.array(states[goal_at]),
@@ -113,27 +115,27 @@ class ValPlayConfig(SuiteKind):
 def _candidates(
     path: Path | StoreConfig, val_fraction: float, settling: str
 ) -> tuple[Store, tuple[tuple[int, int, str], ...]]:
-    """The store, and every settled moment of its held-out episodes: episode, moment, what had changed."""
+    """The store, and every settled moment of its held-out episodes: episode, moment, what changed."""
     store = open_store(path)
     val = val_mask(store, val_fraction)
-    out, trained = np.flatnonzero(val), np.flatnonzero(~val)
-    if len(out) == 0:
+    held_out, trained = np.flatnonzero(val), np.flatnonzero(~val)
+    if len(held_out) == 0:
         raise StoreError(f"{store.name()} has no held-out episodes among its {len(store)}: collect more play")
     config = from_dict(SettlingConfig, json.loads(settling))
-    table = RelabelIndex.of_store(store, config, episodes=out.tolist(), learned=trained.tolist())
+    table = RelabelIndex.of_store(store, config, episodes=held_out.tolist(), learned=trained.tolist())
     groups = np.array(table.groups())
     moments = [
-        (int(out[e]), int(table.moments[m]), " + ".join(groups[table.changed_groups()[m]]))
-        for e in range(len(out))
+        (int(held_out[e]), int(table.moments[m]), " + ".join(groups[table.changed_groups()[m]]))
+        for e in range(len(held_out))
         for m in range(table.offsets[e], table.offsets[e + 1])
     ]
     if not moments:
-        raise StoreError(f"nothing changed and came to rest in the {len(out)} held-out episodes of {store.name()}")
+        raise StoreError(f"nothing changed and came to rest in the {len(held_out)} held-out episodes of {store.name()}")
     return store, tuple(moments)
 
 
 def _training(run: Path) -> tuple[Path | StoreConfig | None, float | None]:
-    """The store and the held-out share that a run was trained with."""
+    """The store and the held-out fraction that a run was trained with."""
     path = run / RUN_CONFIG
     if not path.is_file():
         return None, None

@@ -1,4 +1,4 @@
-"""LeRobot imports every installed distribution whose name begins with `lerobot_env_`; this one registers our worlds."""
+"""LeRobot imports every installed distribution named `lerobot_env_*`; this one registers our environments."""
 
 from playlearn.lerobot.env import PlaylearnEnvConfig
 

@@ -1,4 +1,4 @@
-"""LeRobot imports every installed distribution whose name begins with `lerobot_policy_`; this registers our policies.
+"""LeRobot imports every installed distribution named `lerobot_policy_*`; this one registers our policies.
 
 It is put beside the package when the wheel is built, with an `egg-info` of that name (see pyproject.toml).
 """

@@ -1,4 +1,4 @@
-"""What of a LeRobot dataset is missing or broken, one by one, and what can still be used."""
+"""What is missing or broken in a LeRobot dataset, problem by problem, and which episodes can be used."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -10,32 +10,37 @@ import pyarrow as pa
 
 from playlearn.episode import Array
 from playlearn.errors import StoreError
-from playlearn.store.lerobot.metadata import Description, Row, read_parquet
+from playlearn.store.lerobot.metadata import DatasetMetadata, Row, read_parquet
 
-NAMED = 40  # problems in one message
+MAX_LISTED = 40  # problems in one message
 NUMBERS = ("episode_index", "frame_index", "index", "timestamp")
 
 
 @dataclass(frozen=True)
 class Problem:
-    """words: what is wrong. episodes: those that cannot be used. images: their numbers can."""
+    """Something that is missing or broken.
 
-    words: str
+    message: what is wrong.
+    episodes: the ones that cannot be used.
+    images: only their images are affected; their numbers can be used.
+    """
+
+    message: str
     episodes: frozenset[int] = frozenset()
     images: bool = False
 
 
-def counted(described: Description) -> list[Problem]:
-    """What `info.json` says beside what its metadata lists."""
-    listed = {"total_episodes": len(described.rows), "total_frames": sum(row.length for row in described.rows)}
-    said = {"total_episodes": described.episodes, "total_frames": described.frames}
+def check_counts(metadata: DatasetMetadata) -> list[Problem]:
+    """Compare the totals of `info.json` with the episodes that the metadata lists."""
+    listed = {"total_episodes": len(metadata.rows), "total_frames": sum(row.length for row in metadata.rows)}
+    stated = {"total_episodes": metadata.episodes, "total_frames": metadata.frames}
     problems = [
-        Problem(f"meta/info.json says {name} {said[name]}, its episodes' metadata makes it {count}")
+        Problem(f"meta/info.json says {name} {stated[name]}, its episodes' metadata makes it {count}")
         for name, count in listed.items()
-        if count != said[name]
+        if count != stated[name]
     ]
     at = 0
-    for row in described.rows:
+    for row in metadata.rows:
         if row.begin != at:
             problems.append(
                 Problem(f"episode {row.index} begins at frame {row.begin} of the dataset, where {at} is next")
@@ -44,19 +49,19 @@ def counted(described: Description) -> list[Problem]:
     return problems
 
 
-def numbers(
-    described: Description, keys: Sequence[str], shortest: int
+def read_columns(
+    metadata: DatasetMetadata, keys: Sequence[str], shortest: int
 ) -> tuple[dict[int, dict[str, Array]], list[Problem]]:
-    """Episode -> column -> (length, n) float32, those that are whole; and what is wrong with the others."""
+    """Episode -> column -> (length, n) float32 for the complete episodes; and what is wrong with the others."""
     found: dict[int, dict[str, Array]] = {}
     problems: list[Problem] = []
-    for place, group in groupby(sorted(described.rows, key=lambda row: (row.data, row.index)), lambda row: row.data):
+    for place, group in groupby(sorted(metadata.rows, key=lambda row: (row.data, row.index)), lambda row: row.data):
         rows = list(group)
         try:
-            table = read_parquet(described.root / place, [*keys, *NUMBERS])
+            table = read_parquet(metadata.root / place, [*keys, *NUMBERS])
             lacks = [key for key in (*keys, *NUMBERS) if key not in table.column_names]
             if lacks:
-                raise StoreError(f"{described.root / place} has no {', '.join(lacks)}: fetch it again")
+                raise StoreError(f"{metadata.root / place} has no {', '.join(lacks)}: fetch it again")
         except StoreError as error:
             problems.append(Problem(f"{error} ({_episodes(rows)})", _numbers(rows)))
             continue
@@ -64,74 +69,76 @@ def numbers(
         for row in rows:
             mine = np.flatnonzero(owner == row.index)
             own = table.slice(mine[0], mine[-1] - mine[0] + 1) if len(mine) else table.slice(0, 0)
-            columns, words = _episode(own, row, keys, described.fps, shortest)
-            if words:
-                problems.append(Problem(f"episode {row.index}: {words}", _numbers([row])))
+            columns, message = _episode(own, row, keys, metadata.fps, shortest)
+            if message:
+                problems.append(Problem(f"episode {row.index}: {message}", _numbers([row])))
             else:
                 found[row.index] = columns
     return found, problems
 
 
-def films(described: Description, cameras: Iterable[str]) -> list[Problem]:
-    """Videos that are missing, broken, or end before an episode does."""
-    from playlearn.store.lerobot.frames import seconds
+def check_videos(metadata: DatasetMetadata, cameras: Iterable[str]) -> list[Problem]:
+    """Find videos that are missing, broken, or end before an episode does."""
+    from playlearn.store.lerobot.frames import video_seconds
 
     owners: dict[tuple[str, str], list[Row]] = {}
     problems = []
-    for row in described.rows:
+    for row in metadata.rows:
         for camera in cameras:
             if camera in row.clips:
                 owners.setdefault((camera, row.clips[camera].file), []).append(row)
-            elif described.cameras[camera].video:
+            elif metadata.cameras[camera].video:
                 problems.append(Problem(f"episode {row.index} has no video of {camera}", _numbers([row]), images=True))
     for (camera, place), rows in owners.items():
         try:
-            if not (described.root / place).is_file():
-                raise StoreError(f"{described.root / place} is missing: fetch it again")
-            length = seconds(described.root / place)
+            if not (metadata.root / place).is_file():
+                raise StoreError(f"{metadata.root / place} is missing: fetch it again")
+            length = video_seconds(metadata.root / place)
         except StoreError as error:
             problems.append(Problem(f"{error} ({_episodes(rows)})", _numbers(rows), images=True))
             continue
         for row in rows:
-            end = row.clips[camera].begin + row.length / described.fps
-            if length < end - 0.5 / described.fps:
-                words = f"episode {row.index}: {place} ends at {length:.2f} s, the episode at {end:.2f} s"
-                problems.append(Problem(words, _numbers([row]), images=True))
+            end = row.clips[camera].begin + row.length / metadata.fps
+            if length < end - 0.5 / metadata.fps:
+                message = f"episode {row.index}: {place} ends at {length:.2f} s, the episode at {end:.2f} s"
+                problems.append(Problem(message, _numbers([row]), images=True))
     return problems
 
 
-def usable(described: Description, problems: Sequence[Problem], skip: bool) -> list[Row]:
-    """The episodes to go on with.
+def usable_episodes(metadata: DatasetMetadata, problems: Sequence[Problem], skip: bool) -> list[Row]:
+    """The episodes that can be used.
 
     Raises:
-        StoreError: something is wrong and was not to be skipped, or nothing is left.
+        StoreError: something is wrong and `skip` is off, or no episode is left.
     """
-    everything = described.rows
+    everything = metadata.rows
     broken = frozenset[int]().union(*(problem.episodes for problem in problems))
     whole = [row for row in everything if row.index not in broken]
     if problems and not (skip and whole):
-        numbers = frozenset[int]().union(*(problem.episodes for problem in problems if not problem.images))
-        raise StoreError(_told(described.root, problems, len(whole), len(everything), len(everything) - len(numbers)))
+        numberless = frozenset[int]().union(*(problem.episodes for problem in problems if not problem.images))
+        raise StoreError(
+            _format_problems(metadata.root, problems, len(whole), len(everything), len(everything) - len(numberless))
+        )
     if not whole:
-        raise StoreError(f"{described.root} holds no episodes")
+        raise StoreError(f"{metadata.root} holds no episodes")
     return whole
 
 
-def _told(root: Path, problems: Sequence[Problem], whole: int, every: int, blind: int) -> str:
-    lines = [f"{root} is not whole:", *(f"  {problem.words}" for problem in problems[:NAMED])]
-    if len(problems) > NAMED:
-        lines.append(f"  and {len(problems) - NAMED} more")
+def _format_problems(root: Path, problems: Sequence[Problem], whole: int, total: int, without_images: int) -> str:
+    lines = [f"{root} is not whole:", *(f"  {problem.message}" for problem in problems[:MAX_LISTED])]
+    if len(problems) > MAX_LISTED:
+        lines.append(f"  and {len(problems) - MAX_LISTED} more")
     if whole:
-        lines.append(f"{whole} of {every} episodes can be used as they are: `skip_broken: true`")
-    if blind > whole:
-        lines.append(f"{blind} of {every} without their images: `without_images: true`")
-    if whole or blind:
+        lines.append(f"{whole} of {total} episodes can be used as they are: `skip_broken: true`")
+    if without_images > whole:
+        lines.append(f"{without_images} of {total} without their images: `without_images: true`")
+    if whole or without_images:
         lines.append("(in the `store` block of a config, or as `--store.skip_broken true` after `--store.root FOLDER`)")
     return "\n".join(lines)
 
 
 def _episode(table: pa.Table, row: Row, keys: Sequence[str], fps: float, shortest: int) -> tuple[dict[str, Array], str]:
-    """The columns of one episode, or what is wrong with them."""
+    """The columns of one episode, or a message about what is wrong with them."""
     if len(table) != row.length:
         return {}, f"{len(table)} frames, where its metadata says {row.length}"
     if row.length < shortest:
@@ -157,7 +164,7 @@ def _episode(table: pa.Table, row: Row, keys: Sequence[str], fps: float, shortes
 
 
 def matrix(column: pa.ChunkedArray) -> Array:
-    """(length, n) float32 of a column of numbers or of lists of them."""
+    """(length, n) float32: a column of numbers or of lists of numbers."""
     whole = column.combine_chunks()
     if whole.null_count:
         raise StoreError("is empty at some frame")

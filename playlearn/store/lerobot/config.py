@@ -1,23 +1,31 @@
-"""How a LeRobot dataset is read as play."""
+"""Config of a LeRobot dataset that is read as play."""
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from playlearn.errors import UsageError
-from playlearn.store.base import Store, StoreConfig
+from playlearn.store.base import StoreConfig
+
+if TYPE_CHECKING:
+    from playlearn.store.lerobot.reader import LeRobotStore
 
 
 @StoreConfig.register_subclass("lerobot")
 @dataclass(frozen=True)
 class LeRobotStoreConfig(StoreConfig):
-    """A dataset in a folder (root), or one of the Hub by its name (repo_id), looked for in LeRobot's own folders first.
+    """A LeRobot v3.0 dataset, in a folder or on the Hub.
 
-    revision: of the Hub's dataset. state, achieved, action: the features that are the robot's own body, the objects
-    (() where it has none: settled moments are then read from the robot) and what was commanded.
-    image_size: (height, width) that every camera is scaled to; null for their own. cache: where decoded frames are
-    kept; null for the user's cache folder. without_images: only the numbers. skip_broken: go on without the episodes
-    that cannot be read.
+    root: folder of the dataset.
+    repo_id: name of the dataset on the Hub; LeRobot's own folders are searched first.
+    revision: of the dataset on the Hub (null: the tag of the format's version).
+    state: feature of the robot's proprioception.
+    achieved: feature of the objects; settled moments are read from the robot if the dataset has no such feature.
+    action: feature of the commanded actions.
+    image_size: (height, width) that every camera is scaled to (null: its own size).
+    cache: folder of the decoded frames (null: the user's cache folder).
+    without_images: read the numbers only.
+    skip_broken: leave out the episodes that cannot be read.
     """
 
     root: Path | None = None
@@ -42,12 +50,21 @@ class LeRobotStoreConfig(StoreConfig):
     def at(cls, folder: Path) -> "LeRobotStoreConfig | None":
         return cls(root=folder) if (folder / "meta" / "info.json").is_file() else None
 
-    def build(self) -> Store:
-        from playlearn.store.lerobot.reader import LeRobotStore  # heavy, and every command imports the store
+    def build(self) -> "LeRobotStore":
+        # Slow to import, and every command imports the stores' configs.
+        from playlearn.store.lerobot.hub import find_dataset
+        from playlearn.store.lerobot.reader import LeRobotStore
 
-        return LeRobotStore(self)
-
-
-def cache_folder() -> Path:
-    """Where decoded frames are kept unless the config says otherwise."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "playlearn" / "frames"
+        root = self.root
+        if root is None:
+            root = find_dataset(str(self.repo_id), self.revision, with_videos=not self.without_images)
+        return LeRobotStore(
+            root,
+            state=self.state,
+            achieved=self.achieved,
+            action=self.action,
+            image_size=self.image_size,
+            cache=self.cache,
+            without_images=self.without_images,
+            skip_broken=self.skip_broken,
+        )

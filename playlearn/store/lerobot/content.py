@@ -1,17 +1,17 @@
-"""What goes into a LeRobot dataset: columns, one row a frame, as they come from a store of play.
+"""The columns of a LeRobot dataset, one row a frame, made from a store of play.
 
     observation.state               (S,)        observation.images.<camera>   (h, w, 3)
     observation.environment_state   (G,)        achieved: objects and fixtures
     action                          (A,)        the label, `expert_action`
     intervention                    (1,) bool   an expert took over (LeRobot's own name for it)
     next.success                    (1,) bool   only where every episode had a task, so that success is known
-    task                            text        the episode's task; of play, the skill at that step in words
+    task                            text        the episode's task; for play, the skill at that step
 
 Skills can stand as LeRobot's subtask annotation instead, `language_persistent`; the task of play is then "play". That
-is for who asks for it: LeRobot's own viewer (0.6.1) and PyTorch's default collate cannot take such a column.
+is optional: LeRobot's own viewer (0.6.1) and PyTorch's default collate cannot take such a column.
 
-An episode of T actions becomes T frames: LeRobot has no place for the observation after the last action. That one and
-whatever else it has no column for stand beside, see `rest.py`.
+An episode of T actions becomes T frames: LeRobot has no place for the observation after the last action. It and
+whatever else it has no column for are written to sidecar files, see `sidecar.py`.
 """
 
 from collections.abc import Mapping
@@ -24,8 +24,8 @@ import numpy as np
 from playlearn.episode import IMAGES, Array, Episode, read_annotation
 from playlearn.store.base import Store, StoreSpec
 
-PLAY = "play"  # the task of a step that has neither a task nor a skill
-REACHED = "stopped"  # how an episode with a task ends that reached it
+PLAY = "play"  # task of a step that has neither a task nor a skill
+SUCCEEDED = "stopped"  # how an episode ends that achieved its task
 STATE, ACHIEVED, ACTION = "observation.state", "observation.environment_state", "action"
 INTERVENTION, SUCCESS = "intervention", "next.success"
 
@@ -36,8 +36,10 @@ type Features = dict[str, dict[str, Any]]
 class Entry:
     """One LeRobot episode of T frames.
 
-    columns: key -> (T, ...). tasks: T. subtasks: (frame at which it begins, words), empty where nobody asked. rest:
-    the recording itself, to be kept beside with the number it was recorded under; None where this is a part of one.
+    columns: key -> (T, ...).
+    tasks: T names.
+    subtasks: (first frame, name), empty unless annotated.
+    sidecar: (number it was recorded under, the recording), for the sidecar file; None for a part of a recording.
     """
 
     columns: Mapping[str, Array]
@@ -50,11 +52,11 @@ class Entry:
 
 
 class Content(Protocol):
-    """The entries of a dataset, made one at a time."""
+    """The episodes of a dataset, made one at a time."""
 
     @property
     def store(self) -> Store:
-        """Where they come from."""
+        """The store that they are made from."""
         ...
 
     def __len__(self) -> int: ...
@@ -68,14 +70,19 @@ class Content(Protocol):
 
 @dataclass
 class Play:
-    """A store as it is: one entry an episode. annotated: with skills as subtasks."""
+    """A store as it is: one entry an episode.
+
+    store: the play.
+    annotated: write skills as subtasks.
+    has_success: whether every episode has a task, so that success is known.
+    """
 
     store: Store
     annotated: bool = False
-    knows: bool = field(init=False)
+    has_success: bool = field(init=False)
 
     def __post_init__(self) -> None:
-        self.knows = len(self.store) > 0 and all(self.store.meta(i).task for i in range(len(self.store)))
+        self.has_success = len(self.store) > 0 and all(self.store.meta(i).task for i in range(len(self.store)))
 
     def __len__(self) -> int:
         return len(self.store)
@@ -83,22 +90,22 @@ class Play:
     def features(self) -> Features:
         spec = self.store.spec
         made = vectors({STATE: spec.state_names, ACHIEVED: spec.achieved_names, ACTION: spec.action_names})
-        made |= flags(INTERVENTION, *([SUCCESS] if self.knows else []))
-        return made | pictures(self.store.cameras())
+        made |= flags(INTERVENTION, *([SUCCESS] if self.has_success else []))
+        return made | image_features(self.store.cameras())
 
     def entry(self, i: int) -> Entry:
         episode = self.store.read(i)
-        reached = np.zeros((len(episode), 1), np.bool_)
-        reached[-1] = episode.meta.ended == REACHED
-        columns = steps(episode, 0, len(episode)) | ({SUCCESS: reached} if self.knows else {})
+        success = np.zeros((len(episode), 1), np.bool_)
+        success[-1] = episode.meta.ended == SUCCEEDED
+        columns = steps(episode, 0, len(episode)) | ({SUCCESS: success} if self.has_success else {})
         sidecar = int(self.store.indices()[i]), episode
-        spoken = subtasks(episode, 0, len(episode)) if self.annotated else ()
-        skills = [PLAY] * len(episode) if self.annotated else words(episode)
-        return Entry(columns, tuple(episode.meta.task or skill or PLAY for skill in skills), spoken, sidecar)
+        annotation = subtasks(episode, 0, len(episode)) if self.annotated else ()
+        skills = [PLAY] * len(episode) if self.annotated else skill_names(episode)
+        return Entry(columns, tuple(episode.meta.task or skill or PLAY for skill in skills), annotation, sidecar)
 
 
 def steps(episode: Episode, begin: int, end: int) -> dict[str, Array]:
-    """The columns that steps begin ... end-1 have in any dataset."""
+    """The columns of steps begin ... end-1 that every dataset has."""
     columns = {
         STATE: episode.state[begin:end],
         ACHIEVED: episode.achieved[begin:end],
@@ -106,19 +113,19 @@ def steps(episode: Episode, begin: int, end: int) -> dict[str, Array]:
         INTERVENTION: episode.intervention[begin:end, None],
         **{IMAGES + camera: frames[begin:end] for camera, frames in episode.images.items()},
     }
-    return {key: column for key, column in columns.items() if column.shape[1]}  # nobody can write a column of nothing
+    return {key: column for key, column in columns.items() if column.shape[1]}  # LeRobot cannot write an empty column
 
 
 def subtasks(episode: Episode, begin: int, end: int) -> tuple[tuple[int, str], ...]:
-    """The skills within, in words, each with the frame (counted from `begin`) at which it begins."""
+    """The skills of steps begin ... end-1, each with its first frame (counted from `begin`)."""
     at, found = 0, []
-    for skill, run in groupby(words(episode)[begin:end]):
+    for skill, run in groupby(skill_names(episode)[begin:end]):
         found += [(at, skill)] if skill else []
         at += len(list(run))
     return tuple(found)
 
 
-def words(episode: Episode) -> list[str]:
+def skill_names(episode: Episode) -> list[str]:
     """(T,) the skill at each step, "" for none."""
     names = [read_annotation(text)[0].replace("_", " ") for text in episode.meta.skills] or [""]
     return [names[skill] for skill in episode.skill]
@@ -130,7 +137,7 @@ def robot(spec: StoreSpec) -> str:
 
 
 def vectors(named: Mapping[str, tuple[str, ...]]) -> Features:
-    """Of numbers with names; what has none is left out."""
+    """Features of named numbers; an empty one is left out."""
     return {
         k: {"dtype": "float32", "shape": (len(names),), "names": list(names)} for k, names in named.items() if names
     }
@@ -140,7 +147,7 @@ def flags(*keys: str) -> Features:
     return {key: {"dtype": "bool", "shape": (1,), "names": None} for key in keys}
 
 
-def pictures(cameras: Mapping[str, tuple[int, int]]) -> Features:
-    """Of cameras, name -> (height, width)."""
+def image_features(cameras: Mapping[str, tuple[int, int]]) -> Features:
+    """Features of cameras, name -> (height, width)."""
     names = ["height", "width", "channels"]
     return {IMAGES + key: {"dtype": "image", "shape": (h, w, 3), "names": names} for key, (h, w) in cameras.items()}

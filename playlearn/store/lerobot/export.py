@@ -15,23 +15,24 @@ from playlearn.episode import IMAGES, Array
 from playlearn.errors import StoreError
 from playlearn.store.base import Store
 from playlearn.store.lerobot import sidecar, subtasks
-from playlearn.store.lerobot.check import numbers
+from playlearn.store.lerobot.check import read_columns
 from playlearn.store.lerobot.content import Content, Entry, Play, robot
-from playlearn.store.lerobot.frames import decoded
-from playlearn.store.lerobot.metadata import Description, describe, is_lerobot
+from playlearn.store.lerobot.frames import decode_episode
+from playlearn.store.lerobot.metadata import DatasetMetadata, is_lerobot, load_metadata
 
 type Codec = Literal["av1", "h264"]
-type Said = Callable[[int, int], None]  # (episodes done, episodes in all)
+type ProgressCallback = Callable[[int, int], None]  # (episodes done, total)
 
 ENCODERS = {"av1": "libsvtav1", "h264": "h264"}
-POOREST = 20.0  # dB: what a video's compression may make of an episode's pictures before we call it broken
+MIN_PSNR = 20.0  # dB: an episode whose compressed images are worse counts as broken
 
 
 @dataclass(frozen=True)
 class Fidelity:
-    """How a camera's pictures read back, in dB; infinite where they are equal.
+    """PSNR of a camera's images as they read back, in dB; infinite if they are equal.
 
-    mean: PSNR of the mean squared error over all frames. worst: of the worst episode.
+    mean: of the mean squared error over all frames.
+    worst: of the worst episode.
     """
 
     mean: float
@@ -47,7 +48,7 @@ class Fidelity:
 
 
 def export_lerobot(
-    store: Store, out: Path | str, *, videos: Codec | None = None, progress: Said | None = None
+    store: Store, out: Path | str, *, videos: Codec | None = None, progress: ProgressCallback | None = None
 ) -> dict[str, Fidelity]:
     """Write the store as it is; see `write_lerobot`."""
     return write_lerobot(Play(store), out, videos=videos, progress=progress)
@@ -58,13 +59,13 @@ def write_lerobot(
     out: Path | str,
     *,
     videos: Codec | None = None,
-    progress: Said | None = None,
-    beside: Callable[[Path, Mapping[str, Fidelity]], None] = lambda _root, _fidelity: None,
+    progress: ProgressCallback | None = None,
+    write_extras: Callable[[Path, Mapping[str, Fidelity]], None] = lambda _root, _fidelity: None,
 ) -> dict[str, Fidelity]:
     """Write a LeRobot dataset to `out` and return how each camera reads back.
 
-    videos: cameras as MP4 (smaller, lossy, slower to read) instead of images. beside: puts further files into the
-    finished dataset's folder before anybody sees it.
+    videos: codec of MP4 files (smaller, lossy, slower to read); null: images.
+    write_extras: puts further files into the folder of the finished dataset before it appears at `out`.
 
     Raises:
         StoreError: `out` is taken, there is nothing to write, its fps is no whole number, the disk is full, or what
@@ -79,7 +80,7 @@ def write_lerobot(
         with _quiet():
             _write(content, building, f"local/{out.name}", videos, progress)
             fidelity = _read_back(content, building, f"local/{out.name}", videos)
-        beside(building, fidelity)
+        write_extras(building, fidelity)
         building.replace(out)
     except OSError as error:
         raise StoreError(f"{out} cannot be written ({error.strerror or error}): nothing was left there") from error
@@ -90,22 +91,20 @@ def write_lerobot(
 
 def _check(content: Content, out: Path) -> None:
     if is_lerobot(out):
-        raise StoreError(
-            f"{out} is there already, a LeRobot dataset; remove it to write it anew, or name another folder"
-        )
+        raise StoreError(f"{out} already exists, a LeRobot dataset; remove it, or name another folder")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise StoreError(f"{out} already exists: name another folder")
     if len(content) == 0:
         raise StoreError(f"{content.store.name()} holds no episodes: there is nothing to export")
     if content.store.spec.fps != round(content.store.spec.fps):
         raise StoreError(
-            f"{content.store.name()} runs at {content.store.spec.fps} steps a second; LeRobot knows whole numbers only"
+            f"{content.store.name()} runs at {content.store.spec.fps} steps a second; LeRobot takes whole numbers only"
         )
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """LeRobot without the encoder's banners, a bar an episode, and a page on the codec that it can do without."""
+    """Silence LeRobot: encoder banners, a progress bar for each episode, and warnings about the codec."""
     import av
 
     import datasets
@@ -127,7 +126,7 @@ def _quiet() -> Iterator[None]:
             del os.environ["SVT_LOG"]
 
 
-def _write(content: Content, root: Path, name: str, videos: Codec | None, progress: Said | None) -> None:
+def _write(content: Content, root: Path, name: str, videos: Codec | None, progress: ProgressCallback | None) -> None:
     # Imported here because it takes seconds, and every command imports the store.
     from lerobot.configs import RGBEncoderConfig
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
@@ -145,26 +144,26 @@ def _write(content: Content, root: Path, name: str, videos: Codec | None, progre
         use_videos=videos is not None,
         image_writer_threads=0 if videos else 2 * len(cameras),
         streaming_encoding=videos is not None,
-        # Its queue drops frames where the encoder falls behind: let it take whatever comes.
+        # The queue drops frames if the encoder falls behind, so it must be large enough for all.
         encoder_queue_maxsize=1 << 20,
         rgb_encoder=RGBEncoderConfig(vcodec=ENCODERS[videos]) if videos else None,
     )
-    spoken: dict[int, tuple[tuple[int, str], ...]] = {}
+    annotations: dict[int, tuple[tuple[int, str], ...]] = {}
     try:
         for i in range(len(content)):
             entry = content.entry(i)
             for frame in _frames(entry):
                 dataset.add_frame(frame)
             dataset.save_episode()
-            spoken[i] = entry.subtasks
+            annotations[i] = entry.subtasks
             if entry.sidecar is not None:
-                sidecar.keep(root, i, *entry.sidecar)
+                sidecar.write(root, i, *entry.sidecar)
             if progress:
                 progress(i + 1, len(content))
     finally:
         dataset.finalize()
-    if any(spoken.values()):
-        subtasks.annotate(root, spoken, content.store.spec.fps)
+    if any(annotations.values()):
+        subtasks.annotate(root, annotations, content.store.spec.fps)
 
 
 def _frames(entry: Entry) -> Iterator[dict[str, Any]]:
@@ -174,16 +173,16 @@ def _frames(entry: Entry) -> Iterator[dict[str, Any]]:
 
 
 def _read_back(content: Content, root: Path, name: str, videos: Codec | None) -> dict[str, Fidelity]:
-    """Compare every number and every picture; raises StoreError where another is read than was written."""
-    described = describe(root)
+    """Compare every number and every image; raises StoreError if something else is read than was written."""
+    metadata = load_metadata(root)
     keys = [key for key, feature in content.features().items() if feature["dtype"] != "image"]
-    columns, problems = numbers(described, keys, 1)
-    _require(not problems, "; ".join(problem.words for problem in problems[:3]))
-    total = len(described.rows), sum(row.length for row in described.rows)
+    columns, problems = read_columns(metadata, keys, 1)
+    _require(not problems, "; ".join(problem.message for problem in problems[:3]))
+    total = len(metadata.rows), sum(row.length for row in metadata.rows)
     _require(total[0] == len(content), f"{total[0]} episodes, where {len(content)} were written")
-    _require(total == (described.episodes, described.frames), f"counts in meta/info.json that are not {total}")
-    errors: dict[str, list[tuple[float, int]]] = {camera: [] for camera in described.cameras}
-    for row in described.rows:
+    _require(total == (metadata.episodes, metadata.frames), f"counts in meta/info.json that are not {total}")
+    errors: dict[str, list[tuple[float, int]]] = {camera: [] for camera in metadata.cameras}
+    for row in metadata.rows:
         entry = content.entry(row.index)
         _require(
             row.length == len(entry), f"{row.length} frames of episode {row.index}, where {len(entry)} were written"
@@ -191,24 +190,26 @@ def _read_back(content: Content, root: Path, name: str, videos: Codec | None) ->
         for key in keys:
             same = np.array_equal(columns[row.index][key], entry.columns[key])
             _require(same, f"episode {row.index} with another {key}")
-        sizes = {camera: described.cameras[camera].size for camera in errors}
-        for camera, pictures in decoded(described, row, sizes).items():
-            error = _squared_error(pictures, entry.columns[IMAGES + camera])
+        sizes = {camera: metadata.cameras[camera].size for camera in errors}
+        for camera, images in decode_episode(metadata, row, sizes).items():
+            error = _squared_error(images, entry.columns[IMAGES + camera])
             _require(videos is not None or error == 0, f"episode {row.index} with other images of {camera}")
-            _require(_psnr(error) >= POOREST, f"episode {row.index} with a {camera} of {_psnr(error):.1f} dB PSNR only")
+            _require(
+                _psnr(error) >= MIN_PSNR, f"episode {row.index} with a {camera} of {_psnr(error):.1f} dB PSNR only"
+            )
             errors[camera].append((error, row.length))
-    _by_lerobot(content, described, name)
+    _check_with_lerobot(content, metadata, name)
     return {camera: _fidelity(own) for camera, own in errors.items()}
 
 
-def _by_lerobot(content: Content, described: Description, name: str) -> None:
-    """The first and the last frame as LeRobot's own reader gives them: indices, time and task."""
+def _check_with_lerobot(content: Content, metadata: DatasetMetadata, name: str) -> None:
+    """Check the first and the last frame with LeRobot's own reader: indices, time and task."""
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     last = len(content) - 1
     # Two episodes only: LeRobot copies what it opens into its cache.
-    dataset = LeRobotDataset(name, root=described.root, episodes=sorted({0, last}), video_backend="pyav")
-    for at, i, t in ((0, 0, 0), (-1, last, described.rows[last].length - 1)):
+    dataset = LeRobotDataset(name, root=metadata.root, episodes=sorted({0, last}), video_backend="pyav")
+    for at, i, t in ((0, 0, 0), (-1, last, metadata.rows[last].length - 1)):
         read = dataset[at % len(dataset)]
         where = (
             int(read["episode_index"]),
@@ -227,7 +228,7 @@ def _fidelity(errors: Sequence[tuple[float, int]]) -> Fidelity:
 
 
 def _squared_error(one: Array, other: Array) -> float:
-    """The mean over an episode; 0 where all is equal."""
+    """Mean squared error over an episode; 0 if everything is equal."""
     return float(np.square(one.astype(np.float32) - other).mean())
 
 
@@ -235,6 +236,6 @@ def _psnr(squared_error: float) -> float:
     return float("inf") if squared_error == 0 else float(10 * np.log10(255**2 / squared_error))
 
 
-def _require(holds: bool, otherwise: str) -> None:
-    if not holds:
-        raise StoreError(f"what was written reads back as {otherwise}: it was thrown away; please report this as a bug")
+def _require(condition: bool, found: str) -> None:
+    if not condition:
+        raise StoreError(f"what was written reads back as {found}: it was discarded; please report this as a bug")

@@ -1,4 +1,4 @@
-"""An episode's pictures, decoded: from a video, or from the images among its numbers."""
+"""Decode the images of an episode, from a video or from the images in its parquet file."""
 
 import io
 from collections.abc import Iterator, Mapping
@@ -14,30 +14,30 @@ from PIL import Image
 
 from playlearn.episode import Array
 from playlearn.errors import StoreError
-from playlearn.store.lerobot.metadata import UNREADABLE, Camera, Clip, Description, Row
+from playlearn.store.lerobot.metadata import UNREADABLE, Camera, Clip, DatasetMetadata, Row, first_line
 
 Size = tuple[int, int]
 
 
-def decoded(described: Description, row: Row, sizes: Mapping[str, Size]) -> dict[str, Array]:
+def decode_episode(metadata: DatasetMetadata, row: Row, sizes: Mapping[str, Size]) -> dict[str, Array]:
     """Camera -> (length, h, w, 3) uint8 of one episode, scaled to `sizes`.
 
     Raises:
         StoreError: a file is missing or broken, or ends before the episode does.
     """
-    films = {name: described.cameras[name] for name in sizes if described.cameras[name].video}
-    stills = {name: described.cameras[name] for name in sizes if name not in films}
-    made = {name: _film(described.root, row, row.clips[name], described.fps, sizes[name]) for name in films}
-    return made | (_stills(described.root, row, stills, sizes) if stills else {})
+    videos = {name: metadata.cameras[name] for name in sizes if metadata.cameras[name].video}
+    stored_images = {name: metadata.cameras[name] for name in sizes if name not in videos}
+    frames = {name: _decode_video(metadata.root, row, row.clips[name], metadata.fps, sizes[name]) for name in videos}
+    return frames | (_decode_images(metadata.root, row, stored_images, sizes) if stored_images else {})
 
 
-def scaled(picture: Array, size: Size) -> Array:
-    """(h, w, 3) uint8 of that size."""
+def resized(picture: Array, size: Size) -> Array:
+    """The picture (h, w, 3) uint8 resized to (height, width)."""
     return picture if picture.shape[:2] == size else np.asarray(Image.fromarray(picture).resize(size[::-1]))
 
 
-def seconds(path: Path) -> float:
-    """How long a video is; raises StoreError where it is none, or is cut short."""
+def video_seconds(path: Path) -> float:
+    """Length of a video in seconds; raises StoreError if it is not a video, or is cut short."""
     try:
         _check_end(path)
         with closing(av.open(str(path))) as container:
@@ -46,26 +46,28 @@ def seconds(path: Path) -> float:
                 return float(Fraction(container.duration or 0, av.time_base))
             return float(stream.duration * stream.time_base)
     except (*UNREADABLE, FFmpegError) as error:
-        raise StoreError(f"{path} cannot be read ({_said(error)}): fetch it again") from error
+        raise StoreError(f"{path} cannot be read ({first_line(error)}): fetch it again") from error
 
 
 def _check_end(path: Path) -> None:
-    """Raises StoreError where a box of an MP4 ends behind the file: its index may stand first, and promise frames."""
+    """Raise StoreError if a box of an MP4 ends beyond the file: an index at the front lists frames that are missing."""
     size, at = path.stat().st_size, 0
     with path.open("rb") as file:
         while at < size:
             file.seek(at)
             head = file.read(16)
             if at == 0 and head[4:8] != b"ftyp":
-                return  # something else, of which only the decoder knows
-            told = int.from_bytes(head[:4])
-            length = {0: size - at, 1: int.from_bytes(head[8:16])}.get(told, told)  # 0: to the end, 1: it needs 64 bits
+                return  # another container: only the decoder can tell
+            stated = int.from_bytes(head[:4])
+            length = {0: size - at, 1: int.from_bytes(head[8:16])}.get(
+                stated, stated
+            )  # 0: to the end, 1: it needs 64 bits
             if length < 8 or at + length > size:
                 raise StoreError(f"{path} is cut short at {size} bytes: fetch it again")
             at += length
 
 
-def _film(root: Path, row: Row, clip: Clip, fps: float, size: Size) -> Array:
+def _decode_video(root: Path, row: Row, clip: Clip, fps: float, size: Size) -> Array:
     frames = np.empty((row.length, *size, 3), np.uint8)
     seen = np.zeros(row.length, np.bool_)
     path = root / clip.file
@@ -86,13 +88,13 @@ def _film(root: Path, row: Row, clip: Clip, fps: float, size: Size) -> Array:
                     frames[at] = frame.to_ndarray(format="rgb24", height=size[0], width=size[1])
                     seen[at] = True
     except (*UNREADABLE, FFmpegError) as error:
-        raise StoreError(f"{path} cannot be read ({_said(error)}): fetch it again") from error
+        raise StoreError(f"{path} cannot be read ({first_line(error)}): fetch it again") from error
     if not seen.all():
         raise StoreError(f"{path} has no frame {int(np.argmin(seen))} of the {row.length} of episode {row.index}")
     return frames
 
 
-def _stills(root: Path, row: Row, cameras: Mapping[str, Camera], sizes: Mapping[str, Size]) -> dict[str, Array]:
+def _decode_images(root: Path, row: Row, cameras: Mapping[str, Camera], sizes: Mapping[str, Size]) -> dict[str, Array]:
     made: dict[str, Array] = {name: np.empty((row.length, *sizes[name], 3), np.uint8) for name in cameras}
     path = root / row.data
     try:
@@ -100,9 +102,9 @@ def _stills(root: Path, row: Row, cameras: Mapping[str, Camera], sizes: Mapping[
             for name, camera in cameras.items():
                 for at, encoded in enumerate(_cells(file, row, camera.key)):
                     with Image.open(io.BytesIO(encoded["bytes"])) as picture:
-                        made[name][at] = scaled(np.asarray(picture.convert("RGB")), sizes[name])
+                        made[name][at] = resized(np.asarray(picture.convert("RGB")), sizes[name])
     except UNREADABLE as error:
-        raise StoreError(f"{path}: the images of episode {row.index} cannot be read ({_said(error)})") from error
+        raise StoreError(f"{path}: the images of episode {row.index} cannot be read ({first_line(error)})") from error
     return made
 
 
@@ -122,10 +124,7 @@ def _owners(file: pq.ParquetFile, group: int) -> tuple[int, int] | None:
     for k in range(file.metadata.num_columns):
         part = file.metadata.row_group(group).column(k)
         if part.path_in_schema == file.schema_arrow.names[column]:
-            told = part.statistics
-            return (told.min, told.max) if told is not None and told.has_min_max else None
+            statistics = part.statistics
+            has_range = statistics is not None and statistics.has_min_max
+            return (statistics.min, statistics.max) if has_range else None
     return None
-
-
-def _said(error: BaseException) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -1,30 +1,30 @@
-"""Where a dataset is: in a folder, in LeRobot's own folders, or fetched from the Hub because it was named so."""
+"""Find a dataset by its name: in LeRobot's own folders, or download it from the Hub."""
 
 import os
 from pathlib import Path
 
 from playlearn.errors import StoreError
-from playlearn.store.lerobot.config import LeRobotStoreConfig
 from playlearn.store.lerobot.metadata import is_lerobot
 
-TAG = "v3.0"  # under which a dataset of this version stands on the Hub
+TAG = "v3.0"  # tag of datasets of this version on the Hub
 
 
-def resolve_dataset(config: LeRobotStoreConfig) -> Path:
-    """The dataset's folder.
+def find_dataset(name: str, revision: str | None = None, *, with_videos: bool = True) -> Path:
+    """The folder of the dataset `name` (`user/name`).
+
+    revision: of the dataset on the Hub (None: the tag of the format's version).
 
     Raises:
-        StoreError: there is none, or the Hub cannot be reached.
+        StoreError: there is no such dataset, or the Hub cannot be reached.
     """
-    if config.root is not None:
-        return config.root
-    name = str(config.repo_id)
     home = Path(os.environ.get("HF_HOME") or Path.home() / ".cache" / "huggingface")
     local = Path(os.environ.get("HF_LEROBOT_HOME") or home / "lerobot") / name
-    return local if ".." not in Path(name).parts and is_lerobot(local) else _fetched(config, name, local)
+    return (
+        local if ".." not in Path(name).parts and is_lerobot(local) else _download(name, revision, local, with_videos)
+    )
 
 
-def _fetched(config: LeRobotStoreConfig, name: str, local: Path) -> Path:
+def _download(name: str, revision: str | None, local: Path, with_videos: bool) -> Path:
     from huggingface_hub import snapshot_download
     from huggingface_hub.errors import (
         HfHubHTTPError,
@@ -35,20 +35,18 @@ def _fetched(config: LeRobotStoreConfig, name: str, local: Path) -> Path:
         RevisionNotFoundError,
     )
 
-    leave = ["videos/*"] if config.without_images else None
+    ignored = None if with_videos else ["videos/*"]
     try:
         try:
-            return Path(
-                snapshot_download(name, repo_type="dataset", revision=config.revision or TAG, ignore_patterns=leave)
-            )
+            return Path(snapshot_download(name, repo_type="dataset", revision=revision or TAG, ignore_patterns=ignored))
         except RevisionNotFoundError:
-            if config.revision:
+            if revision:
                 raise
-            return Path(snapshot_download(name, repo_type="dataset", ignore_patterns=leave))
+            return Path(snapshot_download(name, repo_type="dataset", ignore_patterns=ignored))
     except HFValidationError as error:
         raise StoreError(f"{name!r} is no name of a dataset on the Hub: it is `user/name`") from error
     except RevisionNotFoundError as error:
-        raise StoreError(f"the dataset {name} on the Hub has no revision {config.revision!r}") from error
+        raise StoreError(f"the dataset {name} on the Hub has no revision {revision!r}") from error
     except RepositoryNotFoundError as error:
         raise StoreError(
             f"there is no dataset {name} on the Hub, nor at {local}: check the name; a private one: `hf auth login`"

@@ -1,4 +1,4 @@
-"""What a LeRobot v3.0 dataset says of itself, read without trust: no path leaves its folder, nothing is unpickled."""
+"""The metadata of a LeRobot v3.0 dataset, read without trust: no path leaves its folder, nothing is unpickled."""
 
 import json
 from collections.abc import Mapping
@@ -24,7 +24,12 @@ UNREADABLE = (OSError, ValueError, KeyError, TypeError, AttributeError, IndexErr
 
 @dataclass(frozen=True)
 class Camera:
-    """key: the feature. size: (height, width). video: in a file of its own, not among the numbers."""
+    """A camera of the dataset.
+
+    key: name of the feature.
+    size: (height, width).
+    video: frames are in a video file, not in the parquet file.
+    """
 
     key: str
     size: tuple[int, int]
@@ -33,7 +38,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Clip:
-    """Where an episode's frames begin and end in a video, in seconds."""
+    """The part of a video that holds an episode's frames; begin and end in seconds."""
 
     file: str
     begin: float
@@ -42,7 +47,14 @@ class Clip:
 
 @dataclass(frozen=True)
 class Row:
-    """One episode. begin: the number of its first frame in the whole dataset. data: the file its numbers are in."""
+    """One episode.
+
+    index: of the episode.
+    length: frames.
+    begin: index of its first frame in the whole dataset.
+    data: the parquet file that holds its numbers.
+    clips: camera -> part of a video.
+    """
 
     index: int
     length: int
@@ -52,8 +64,19 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Description:
-    """A dataset's `meta/`, and where it is. cameras: name -> Camera, those of color pictures."""
+class DatasetMetadata:
+    """What `meta/` of a dataset says.
+
+    root: folder of the dataset.
+    fps: frames a second.
+    robot: LeRobot's `robot_type`.
+    features: name -> description, as in `info.json`.
+    cameras: name -> Camera, color images only.
+    episodes: total that `info.json` states.
+    frames: total that `info.json` states.
+    rows: the episodes that the metadata lists.
+    tasks: name of each task index.
+    """
 
     root: Path
     fps: float
@@ -66,7 +89,7 @@ class Description:
     tasks: tuple[str, ...]
 
     def names(self, key: str) -> tuple[str, ...]:
-        """What each number of a feature means; () where there is no such feature."""
+        """Name of each dimension of a feature; () if there is no such feature."""
         if key not in self.features:
             return ()
         size = int(self.features[key]["shape"][0])
@@ -81,7 +104,7 @@ def is_lerobot(root: Path) -> bool:
     return (root / INFO).is_file()
 
 
-def describe(root: Path) -> Description:
+def load_metadata(root: Path) -> DatasetMetadata:
     """Read `meta/`.
 
     Raises:
@@ -98,7 +121,7 @@ def describe(root: Path) -> Description:
         if not version.startswith("3."):
             raise StoreError(_other_version(root, version))
         features = dict(info["features"])
-        described = Description(
+        metadata = DatasetMetadata(
             root=root,
             fps=float(info["fps"]),
             robot=str(info.get("robot_type") or "unknown"),
@@ -110,10 +133,10 @@ def describe(root: Path) -> Description:
             tasks=_tasks(root) if info.get("total_tasks") else (),
         )
     except UNREADABLE as error:
-        raise StoreError(f"{root / INFO} cannot be read ({_said(error)}): fetch it again") from error
-    if not described.fps > 0:
-        raise StoreError(f"{root / INFO}: fps must be above 0, not {described.fps:g}")
-    return described
+        raise StoreError(f"{root / INFO} cannot be read ({first_line(error)}): fetch it again") from error
+    if not metadata.fps > 0:
+        raise StoreError(f"{root / INFO}: fps must be above 0, not {metadata.fps:g}")
+    return metadata
 
 
 def read_parquet(path: Path, columns: list[str] | None = None) -> pa.Table:
@@ -129,7 +152,7 @@ def read_parquet(path: Path, columns: list[str] | None = None) -> pa.Table:
             there = file.schema_arrow.names
             return file.read(columns=None if columns is None else [name for name in columns if name in there])
     except UNREADABLE as error:
-        raise StoreError(f"{path} cannot be read ({_said(error)}): fetch it again") from error
+        raise StoreError(f"{path} cannot be read ({first_line(error)}): fetch it again") from error
 
 
 def _rows(root: Path, info: Mapping[str, Any], cameras: Mapping[str, Camera]) -> tuple[Row, ...]:
@@ -165,15 +188,15 @@ def _file(row: Mapping[str, Any], prefix: str) -> dict[str, int]:
 
 
 def _template(template: str, fields: set[str]) -> str:
-    """Refuses one that asks for more than it may (`{video_key.__class__}`)."""
-    asked = {name for _, name, _, _ in Formatter().parse(template) if name is not None}
-    if not asked <= fields:
-        raise StoreError(f"the template {template!r} in {INFO} asks for {', '.join(sorted(asked - fields))}: refused")
+    """The template itself; refuses one with other fields (`{video_key.__class__}`)."""
+    used = {name for _, name, _, _ in Formatter().parse(template) if name is not None}
+    if not used <= fields:
+        raise StoreError(f"the template {template!r} in {INFO} asks for {', '.join(sorted(used - fields))}: refused")
     return template
 
 
 def _inside(template: str, **values: Any) -> str:
-    """The path that a template gives; refuses one that leaves the dataset."""
+    """The path that a template gives; refuses a path out of the dataset."""
     path = PurePosixPath(template.format(**values))
     if path.is_absolute() or ".." in path.parts or "\\" in str(path):
         raise StoreError(f"the path {str(path)!r} that {INFO} gives leads out of the dataset: refused")
@@ -181,7 +204,7 @@ def _inside(template: str, **values: Any) -> str:
 
 
 def _cameras(features: Mapping[str, Any]) -> dict[str, Camera]:
-    """Depth maps are none: they have one channel."""
+    """Color cameras; depth maps have one channel and are left out."""
     cameras = {}
     for key, feature in features.items():
         if feature["dtype"] in ("image", "video") and len(feature["shape"]) == 3 and 3 in feature["shape"]:
@@ -194,8 +217,8 @@ def _cameras(features: Mapping[str, Any]) -> dict[str, Camera]:
 
 def _tasks(root: Path) -> tuple[str, ...]:
     table = read_parquet(root / TASKS)
-    words = next(name for name in table.column_names if name != "task_index")  # pandas calls an index what it likes
-    found = dict(zip(table["task_index"].to_pylist(), table[words].to_pylist(), strict=True))
+    column = next(name for name in table.column_names if name != "task_index")  # pandas calls an index what it likes
+    found = dict(zip(table["task_index"].to_pylist(), table[column].to_pylist(), strict=True))
     return tuple(str(found.get(i, "")) for i in range(max(found, default=-1) + 1))
 
 
@@ -209,6 +232,6 @@ def _other_version(root: Path, version: str) -> str:
     return f"{root} is a LeRobot dataset of version {version}; version 3.0 is read here: update playlearn"
 
 
-def _said(error: Exception) -> str:
+def first_line(error: BaseException) -> str:
     text = str(error).splitlines()[0] if str(error) else type(error).__name__
     return f"no {text}" if isinstance(error, KeyError) else text

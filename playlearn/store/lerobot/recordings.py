@@ -1,21 +1,20 @@
-"""A LeRobot dataset as something to import, for who would rather have it in a store of ours than train on it so."""
+"""A LeRobot dataset as recordings to import, for those who prefer a native store to training on it directly."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 from playlearn.episode import Episode
 from playlearn.errors import EpisodeError, StoreError
 from playlearn.store.base import StoreSpec
-from playlearn.store.lerobot.config import LeRobotStoreConfig
 from playlearn.store.lerobot.reader import LeRobotStore
 
 
 class LeRobotRecordings:
-    """See `importing.Recordings`; raises StoreError where nothing of the dataset can be read."""
+    """See `importing.Recordings`."""
 
-    def __init__(self, config: LeRobotStoreConfig) -> None:
-        self._store = LeRobotStore(replace(config, skip_broken=True))
+    def __init__(self, store: LeRobotStore) -> None:
+        """store: opened with `skip_broken`; the episodes that it left out are reported by `problems`."""
+        self._store = store
         self._places = {int(number): i for i, number in enumerate(self._store.indices())}
         self.spec: StoreSpec = self._store.spec
         self.note: Mapping[str, Any] = {"format": "lerobot", "source": self._store.name()}
@@ -25,12 +24,12 @@ class LeRobotRecordings:
         return {number: f"episode {number}" for number in [*self._places, *self.problems()]}
 
     def problems(self) -> dict[int, str]:
-        return {self._number(entry): one.words for one in self._store.problems for entry in sorted(one.episodes)}
+        return {self._number(entry): one.message for one in self._store.problems for entry in sorted(one.episodes)}
 
     def _number(self, entry: int) -> int:
         try:
             return self._store.number(entry)
-        except (StoreError, KeyError):  # what says it is what is broken
+        except (StoreError, KeyError):  # the sidecar that holds the number is the one that is broken
             return -1 - entry
 
     def read(self, numbers: Sequence[int]) -> Iterator[tuple[int, Episode | StoreError]]:

@@ -1,4 +1,4 @@
-"""What LeRobot has no column for, one file an episode beside its metadata, so that a store comes back as it was.
+"""Sidecar files: what LeRobot has no column for, one file an episode, so that a store reads back as it was.
 
     meta/playlearn/000007.safetensors    the 8th episode of the dataset: what was executed where it is not the label,
                                          simulator states, skills, time, the observation after the last action
@@ -21,31 +21,31 @@ from playlearn.store.tensors import DAMAGED, Header, map_tensors, read_header, w
 
 FOLDER = "meta/playlearn"
 LAST = "last."
-WHOLE = tuple(STORED[name] for name in ("sim_state", "time", "action", "skill", "intervention"))
-SEEN = tuple(STORED[name] for name in ("state", "achieved"))
+COPIED = tuple(STORED[name] for name in ("sim_state", "time", "action", "skill", "intervention"))
+OBSERVED = tuple(STORED[name] for name in ("state", "achieved"))
 
 
-def keep(root: Path, entry: int, index: int, episode: Episode) -> None:
-    """Write the rest of an episode that was recorded under `index` and is the dataset's episode `entry`."""
+def write(root: Path, entry: int, index: int, episode: Episode) -> None:
+    """Write the sidecar of an episode that was recorded under `index` and is the dataset's episode `entry`."""
     arrays = episode.arrays()
-    kept = {key: arrays[key] for key in WHOLE}
-    kept |= {LAST + key: arrays[key][-1] for key in arrays if key in SEEN or key.startswith(IMAGES)}
+    copied = {key: arrays[key] for key in COPIED}
+    copied |= {LAST + key: arrays[key][-1] for key in arrays if key in OBSERVED or key.startswith(IMAGES)}
     (root / FOLDER).mkdir(parents=True, exist_ok=True)
-    write_tensors(_path(root, entry), kept, {"meta": to_json(episode.meta), "index": str(index)})
+    write_tensors(_path(root, entry), copied, {"meta": to_json(episode.meta), "index": str(index)})
 
 
-def is_kept(root: Path) -> bool:
+def exists(root: Path) -> bool:
     return (root / FOLDER).is_dir()
 
 
 @dataclass
-class Rest:
-    """The rest of one episode; raises StoreError where its file is missing or broken."""
+class Sidecar:
+    """The sidecar of one episode; raises StoreError if its file is missing or broken."""
 
     path: Path
 
     @classmethod
-    def of(cls, root: Path, entry: int) -> "Rest":
+    def of(cls, root: Path, entry: int) -> "Sidecar":
         return cls(_path(root, entry))
 
     @cached_property
@@ -68,13 +68,13 @@ class Rest:
             raise StoreError(f"{self.path} cannot be read ({error}): fetch it again") from error
 
     def arrays(self) -> dict[str, Array]:
-        """What `keep` wrote, mapped."""
+        """What `write` wrote, memory-mapped."""
         return map_tensors(self.path, self.header.layout)
 
 
-def joined(rows: Array, kept: Mapping[str, Array], key: str) -> Array:
-    """(T+1, ...): the T rows that LeRobot has of an observation, and the last."""
-    return np.concatenate([rows, kept[LAST + key][None]])
+def joined(rows: Array, arrays: Mapping[str, Array], key: str) -> Array:
+    """(T+1, ...): the T rows of an observation that LeRobot has, and the last one."""
+    return np.concatenate([rows, arrays[LAST + key][None]])
 
 
 def _path(root: Path, entry: int) -> Path:

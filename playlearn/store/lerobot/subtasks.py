@@ -1,4 +1,4 @@
-"""Skills as LeRobot's subtask annotation: `language_persistent`, rows that hold from their timestamp on.
+"""Skills as LeRobot's subtask annotation: `language_persistent`, rows that are valid from their timestamp on.
 
 Each frame of an episode carries all of its rows, as `lerobot-annotate` writes them; the file is rewritten with one row
 group an episode.
@@ -16,7 +16,7 @@ PERSISTENT, EVENTS = "language_persistent", "language_events"
 
 
 def annotate(root: Path, subtasks: Mapping[int, Sequence[tuple[int, str]]], fps: float) -> None:
-    """Add both language columns to a dataset. subtasks: episode -> (frame at which it begins, words)."""
+    """Add both language columns to a dataset. subtasks: episode -> (first frame, name)."""
     from lerobot.datasets.io_utils import write_table_one_row_group_per_episode
     from lerobot.datasets.language import language_feature_info
 
@@ -26,37 +26,37 @@ def annotate(root: Path, subtasks: Mapping[int, Sequence[tuple[int, str]]], fps:
         own = [_rows(subtasks[e], fps) for e in dict.fromkeys(owners.tolist())]
         counts = np.unique(owners, return_counts=True)[1].tolist()
         repeated = pa.concat_arrays([pa.concat_arrays([rows] * n) for rows, n in zip(own, counts, strict=True)])
-        table = table.append_column(PERSISTENT, repeated).append_column(EVENTS, _nothing(len(table)))
+        table = table.append_column(PERSISTENT, repeated).append_column(EVENTS, _no_events(len(table)))
         written = path.with_suffix(".tmp")
         write_table_one_row_group_per_episode(table, written)
         written.replace(path)
     info = json.loads((root / "meta/info.json").read_text())
-    told = {key: {**feature, "shape": list(feature["shape"])} for key, feature in language_feature_info().items()}
-    (root / "meta/info.json").write_text(json.dumps({**info, "features": {**info["features"], **told}}, indent=4))
+    language = {key: {**feature, "shape": list(feature["shape"])} for key, feature in language_feature_info().items()}
+    (root / "meta/info.json").write_text(json.dumps({**info, "features": {**info["features"], **language}}, indent=4))
 
 
 def _rows(subtasks: Sequence[tuple[int, str]], fps: float) -> pa.ListArray:
-    """One list: every subtask of an episode."""
+    """One list with every subtask of an episode."""
     n = len(subtasks)
     return pa.ListArray.from_arrays(
         [0, n],
         _structs(
             role=pa.array(["user"] * n, pa.string()),
-            content=pa.array([words for _, words in subtasks], pa.string()),
+            content=pa.array([name for _, name in subtasks], pa.string()),
             style=pa.array(["subtask"] * n, pa.string()),
             timestamp=pa.array([at / fps for at, _ in subtasks], pa.float32()),
         ),
     )
 
 
-def _nothing(count: int) -> pa.ListArray:
-    """As many empty lists of events."""
+def _no_events(count: int) -> pa.ListArray:
+    """`count` empty lists of events."""
     none = {name: pa.nulls(0, pa.string()) for name in ("role", "content", "style")}
     return pa.ListArray.from_arrays([0] * (count + 1), _structs(**none))
 
 
 def _structs(**parts: pa.Array) -> pa.StructArray:
-    """Rows that concern no camera and call no tool. Built of parts, for pyarrow makes no JSON of Python's objects."""
+    """Rows without camera or tool calls. Built from arrays, as pyarrow makes no JSON of Python objects."""
     n = len(parts["role"])
-    sidecar = {"camera": pa.nulls(n, pa.string()), "tool_calls": pa.nulls(n, pa.list_(pa.json_()))}
-    return pa.StructArray.from_arrays([*parts.values(), *sidecar.values()], names=[*parts, *sidecar])
+    unused = {"camera": pa.nulls(n, pa.string()), "tool_calls": pa.nulls(n, pa.list_(pa.json_()))}
+    return pa.StructArray.from_arrays([*parts.values(), *unused.values()], names=[*parts, *unused])
