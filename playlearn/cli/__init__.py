@@ -11,8 +11,8 @@ import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from playlearn.cli.commands import FAILED, INTERRUPTED, USAGE
 from playlearn.cli.parser import parse
+from playlearn.cli.verb import FAILED, INTERRUPTED, USAGE
 from playlearn.errors import PlaylearnError, UsageError
 from playlearn.threads import limit
 

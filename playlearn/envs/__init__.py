@@ -3,6 +3,7 @@
 To import one is to register it: its config under `environment: {type: ...}`, and who drives it.
 """
 
+import playlearn.sim  # noqa: F401 - before robosuite: it chooses OpenGL and quiets remarks
 from playlearn.envs.door import DoorConfig
 from playlearn.envs.lift import LiftConfig
 from playlearn.envs.nut_assembly import NutAssemblyConfig
