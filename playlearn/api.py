@@ -340,8 +340,8 @@ def run_dagger(
     """Improve the policy of `run` in rounds of DAgger, as `playlearn dagger` does; returns `out`/results.json.
 
     Raises:
-        UsageError: the config is wrong or does not fit the run; `out` is taken.
-        CheckpointError: there is no such run, or it was trained for another environment.
+        UsageError: the config is wrong or does not fit the run, there is no such run, or `out` is taken.
+        CheckpointError: the run was trained for another environment.
     """
     from playlearn.dagger import dagger
 

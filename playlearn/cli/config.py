@@ -41,8 +41,8 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     from playlearn.config.reference import describe
 
-    print(_header(arguments.name))
-    print(describe(load(arguments.name, arguments.config, arguments.overrides)), end="")
+    text = describe(load(arguments.name, arguments.config, arguments.overrides))
+    print(f"{_header(arguments.name)}\n{text}", end="")
     return DONE
 
 
