@@ -14,6 +14,7 @@ import pytest
 
 import playlearn as pl
 from playlearn import api
+from playlearn.api import configs
 from playlearn.errors import CheckpointError, PlaylearnError, StoreError, UsageError
 from tests import fakes
 
@@ -105,7 +106,7 @@ def test_a_type_checker_sees_the_signatures() -> None:
     source = inspect.getsource(pl)
     block = source.split("if TYPE_CHECKING:")[1].split("__version__")[0]
     assert all(f"        {name},\n" in block for name in pl.__all__)
-    assert set(typing.get_args(api.ConfigName.__value__)) == set(api.CONFIGS)
+    assert set(typing.get_args(configs.ConfigName.__value__)) == set(configs.CONFIGS)
 
 
 def test_an_actor_reaches_a_goal_and_the_rollout_stops_there() -> None:

@@ -75,7 +75,7 @@ def _termination_as_interrupt() -> Iterator[None]:
 
     try:
         former = signal.signal(signal.SIGTERM, interrupt)
-    except ValueError:  # not the main thread, which alone may say so
+    except ValueError:  # not the main thread, and only that may set a handler
         yield
         return
     try:

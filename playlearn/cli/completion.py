@@ -57,7 +57,7 @@ def _command(verb: Verb, actions: Sequence[argparse.Action]) -> Command:
 
 def _fields(name: str) -> dict[str, tuple[str, ...]]:
     """What `--field value` can set in a config, and the choices where there are few."""
-    from playlearn.api import CONFIGS
+    from playlearn.api.configs import CONFIGS
     from playlearn.cli.config import load
     from playlearn.config.reference import field_choices
 

@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from playlearn.api import CONFIGS, ConfigName, config_class
+from playlearn.api.configs import CONFIGS, ConfigName, config_class
 from playlearn.cli.verb import DONE, Verb
 
 # Values of the fields that have no default, so that there is something to print; a user replaces them.

@@ -12,7 +12,7 @@ import draccus
 import pytest
 
 from playlearn import cli
-from playlearn.api import CONFIGS, config_class
+from playlearn.api.configs import CONFIGS, config_class
 from playlearn.cli.config import EXAMPLES, load
 from playlearn.config import load_config
 from playlearn.config.reference import describe, field_choices, field_docs, summary, type_name
