@@ -3,10 +3,7 @@
 import re
 import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -122,34 +119,3 @@ def test_every_suite_is_right_and_named_as_its_file(path: Path) -> None:
     from playlearn.evaluation import load_suite
 
     assert load_suite(path).name == path.stem
-
-
-def test_the_kinds_that_contributing_shows_work() -> None:
-    import numpy as np
-    import torch
-
-    from playlearn.policies import heads
-    from playlearn.policies.heads import HeadConfig, masked_mean
-    from playlearn.relabeling import GoalSamplerConfig, RelabelIndex
-    from playlearn.relabeling.base import later
-
-    sampler, head, *_ = re.findall(r"```python\n(.*?)```", read(ROOT / "CONTRIBUTING.md"), re.DOTALL)
-    known: dict[str, Any] = {**vars(heads), "dataclass": dataclass, "masked_mean": masked_mean, "nn": torch.nn}
-    known |= {"GoalSamplerConfig": GoalSamplerConfig, "RelabelIndex": RelabelIndex, "later": later, "np": np}
-    known |= {"GoalSampler": Any, "Indices": Any, "NDArray": np.ndarray}
-    try:
-        exec(sampler, known)  # noqa: S102 - our own text
-        exec(head, known)  # noqa: S102
-        half = GoalSamplerConfig.get_choice_class("half")().build()
-        # Seven and two steps remain of ten: the goal is 1 + 3 and 1 + 0 steps ahead.
-        table = SimpleNamespace(lengths=np.array([10]))
-        goals = half.draw(table, np.array([0, 0]), np.array([3, 8]), np.zeros((2, 4)))
-        assert goals.tolist() == [7, 9]
-        linear = HeadConfig.get_choice_class("linear")().build(8, 4, 2)
-        chunk = linear.sample(torch.zeros(3, 8), torch.Generator())
-        assert chunk.shape == (3, 4, 2)
-        loss, _ = linear.loss(torch.zeros(3, 8), chunk.detach(), torch.ones(3, 4, dtype=torch.bool), torch.Generator())
-        assert loss.item() == 0.0  # its own prediction is what it is asked to predict
-    finally:
-        GoalSamplerConfig.get_known_choices().pop("half", None)
-        HeadConfig.get_known_choices().pop("linear", None)

@@ -75,13 +75,14 @@ def test_what_a_command_imports_is_limited() -> None:
     """The command's own process, also under a launcher that sets OMP_NUM_THREADS, as `accelerate launch` does."""
     code = (
         "import json\n"
+        "from dataclasses import replace\n"
         "from playlearn import cli\n"
         "from playlearn.threads import in_force\n"
         "def command(_):\n"
         "    import numpy, scipy.linalg, numba, torch\n"
         "    print(json.dumps(in_force()))\n"
         "    return 0\n"
-        "cli.commands.doctor = command\n"
+        "cli.doctor.VERB = replace(cli.doctor.VERB, run=command)\n"
         "raise SystemExit(cli.main(['doctor']))\n"
     )
     found = said(code)

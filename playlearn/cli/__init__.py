@@ -11,8 +11,8 @@ import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from playlearn.cli.commands import FAILED, INTERRUPTED, USAGE
 from playlearn.cli.parser import parse
+from playlearn.cli.verb import FAILED, INTERRUPTED, USAGE
 from playlearn.errors import PlaylearnError, UsageError
 from playlearn.threads import limit
 
@@ -75,7 +75,7 @@ def _termination_as_interrupt() -> Iterator[None]:
 
     try:
         former = signal.signal(signal.SIGTERM, interrupt)
-    except ValueError:  # not the main thread, which alone may say so
+    except ValueError:  # not the main thread, and only that may set a handler
         yield
         return
     try:

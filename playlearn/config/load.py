@@ -57,6 +57,14 @@ def save_config(config: Any, path: Path) -> None:
     atomic_write(path, yaml.dump(to_dict(config), Dumper=_Dumper, sort_keys=False, allow_unicode=True).encode())
 
 
+def to_yaml(value: Any) -> str:
+    """A part of what `to_dict` returns as one line of YAML that `load_config` reads back."""
+    text: str = yaml.dump(
+        value, Dumper=_Dumper, default_flow_style=True, sort_keys=False, allow_unicode=True, width=float("inf")
+    )
+    return text.removesuffix("...\n").strip()
+
+
 def _blame(problem: Problem, given: Sequence[tuple[tuple[str, ...], Any]], where: str) -> str:
     """Say the file's name, unless an override is what was wrong."""
     return "" if any(keys[: len(problem.path)] == problem.path for keys, _ in given) else where

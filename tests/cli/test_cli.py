@@ -1,3 +1,4 @@
+import dataclasses
 import json
 import os
 import signal
@@ -7,11 +8,13 @@ import time
 from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 from playlearn import cli
-from playlearn.cli import commands
+from playlearn.cli import collect, doctor, parser, train
+from playlearn.cli.verb import as_overrides
 from playlearn.errors import NotLearnedError, StoreError, UsageError
 
 
@@ -19,14 +22,14 @@ def python(*arguments: str) -> "subprocess.CompletedProcess[str]":
     return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, timeout=600, check=False)
 
 
-def stand_in(monkeypatch: pytest.MonkeyPatch, act: Callable[[], object]) -> None:
-    """Let `playlearn doctor` do something else."""
+def stand_in(monkeypatch: pytest.MonkeyPatch, act: Callable[[], object], module: ModuleType = doctor) -> None:
+    """Let `playlearn doctor`, or another command, do something else."""
 
-    def command(_arguments: Namespace) -> int:
+    def run(_arguments: Namespace) -> int:
         act()
         return 0
 
-    monkeypatch.setattr(commands, "doctor", command)
+    monkeypatch.setattr(module, "VERB", dataclasses.replace(module.VERB, run=run))
 
 
 def fail(error: BaseException) -> Callable[[], object]:
@@ -44,10 +47,20 @@ def test_help_needs_nothing_heavy() -> None:
     assert done.stderr.strip() == "set()"
 
 
-@pytest.mark.parametrize("verb", ["collect", "info", "render", "view", "train", "eval", "export", "doctor"])
+@pytest.mark.parametrize("verb", [module.VERB.name for module in parser.MODULES])
 def test_every_command_explains_itself(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main([verb, "--help"]) == 0
     assert f"usage: playlearn {verb}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("module", parser.MODULES, ids=lambda module: module.VERB.name)
+def test_help_says_which_command_prints_the_fields(module: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    verb = module.VERB
+    assert cli.main([verb.name, "--help"]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert (f"`playlearn config {verb.config}`" in shown) == bool(verb.config)
+    if verb.config:
+        assert cli.parse(["config", verb.config]).name == verb.config
 
 
 @pytest.mark.parametrize(
@@ -140,8 +153,9 @@ def test_termination_ends_a_command_as_ctrl_c_does(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_reader_that_goes_away_is_no_error_of_ours() -> None:
-    say_much = "cli.commands.doctor = lambda arguments: print('x' * 10**6) or 0"
-    code = f"import sys; from playlearn import cli; {say_much}; sys.exit(cli.main(['doctor']))"
+    say_much = "replace(cli.doctor.VERB, run=lambda arguments: print('x' * 10**6) or 0)"
+    imports = "import sys; from dataclasses import replace; from playlearn import cli"
+    code = f"{imports}; cli.doctor.VERB = {say_much}; sys.exit(cli.main(['doctor']))"
     with subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
@@ -153,22 +167,19 @@ def test_a_reader_that_goes_away_is_no_error_of_ours() -> None:
         assert process.stderr.read() == ""
 
 
-@pytest.mark.parametrize("verb", ["collect", "train"])
+@pytest.mark.parametrize("module", [collect, train])
 def test_an_interrupted_job_says_how_to_go_on(
-    verb: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    module: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def interrupted(_arguments: Namespace) -> int:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(commands, verb, interrupted)
-    assert cli.main([verb, "--config", "c", "--out", "o"]) == 130
+    stand_in(monkeypatch, fail(KeyboardInterrupt()), module)
+    assert cli.main([module.VERB.name, "--config", "c", "--out", "o"]) == 130
     assert "kept, and the same command with --resume goes on" in capsys.readouterr().err
 
 
 def test_flags_that_are_config_fields_become_overrides() -> None:
     given = Namespace(episodes=3, seed=None, store="12")
     # JSON quotes the store, so that a folder called 12 stays a path.
-    assert commands._flags(given, "episodes", "seed", "store") == ["--episodes=3", '--store="12"']
+    assert as_overrides(given, "episodes", "seed", "store") == ["--episodes=3", '--store="12"']
 
 
 def test_free_arguments_are_left_for_the_config() -> None:

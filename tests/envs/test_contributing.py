@@ -1,4 +1,4 @@
-"""What CONTRIBUTING.md shows of adding a task is true."""
+"""What CONTRIBUTING.md shows of adding an environment is true."""
 
 import re
 import sys
@@ -16,17 +16,17 @@ from playlearn.sim import EnvironmentConfig, Task
 from tests.shares import often
 
 CONTRIBUTING = Path(__file__).parents[2] / "CONTRIBUTING.md"
-HEADING = "## A task that you registered with robosuite"
+HEADING = "## An environment that you registered with robosuite"
 
 
 @pytest.mark.slow
-def test_the_task_shown_can_be_driven_and_played() -> None:
+def test_the_environment_shown_has_tasks_an_expert_and_play() -> None:
     section = CONTRIBUTING.read_text().split(HEADING)[1].split("\n## ")[0]
     blocks = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
     assert len(blocks) == 2
-    module = ModuleType("brick")
-    sys.modules["brick"] = module  # dataclasses look their module up
-    for block in blocks:
+    for name, block in zip(("theirs", "brick"), blocks, strict=True):
+        module = ModuleType(name)
+        sys.modules[name] = module  # dataclasses look their module up
         exec(block, module.__dict__)  # noqa: S102 - our own document
     env = from_dict(EnvironmentConfig, {"type": "brick"}).build()
     expert = expert_for(env)

@@ -1,0 +1,67 @@
+"""`playlearn import`."""
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from playlearn.cli.verb import DONE, REPEAT, Verb
+from playlearn.errors import UsageError
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("format", choices=tuple(FORMATS))
+    parser.add_argument("source", type=Path, metavar="SRC", help="a dataset's folder, .hdf5 or .npz")
+    parser.add_argument("out", type=Path, metavar="OUT")
+    parser.add_argument("--skip-broken", action="store_true", help="leave broken recordings out, and name them")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from playlearn.report.progress import Progress
+    from playlearn.store.importing import import_recordings
+
+    recordings = FORMATS[arguments.format](arguments.source, arguments.overrides)
+    with Progress(f"import {arguments.out}", len(recordings.names()), "recording") as progress:
+        skip = arguments.skip_broken
+        store = import_recordings(recordings, arguments.out, skip_broken=skip, progress=progress.to, say=progress.say)
+    print(f"{arguments.out}: {len(store)} episodes, {int(store.lengths().sum())} steps")
+    for name, numbers in recordings.splits.items():
+        print(f"mask {name}: {len(numbers)} episodes")
+    return DONE
+
+
+def _robomimic(source: Path, overrides: list[str]) -> Any:
+    from playlearn.config import load_config
+    from playlearn.store.robomimic import RobomimicConfig
+
+    return load_config(RobomimicConfig, None, overrides).build(source)
+
+
+def _robosuite(source: Path, overrides: list[str]) -> Any:
+    from playlearn.config import load_config
+    from playlearn.store.robosuite_demos import RobosuiteConfig
+
+    return load_config(RobosuiteConfig, None, overrides).build(source)
+
+
+def _ogbench(source: Path, overrides: list[str]) -> Any:
+    from playlearn.store.ogbench import OgbenchFile
+
+    if overrides:
+        raise UsageError(f"unknown argument {overrides[0]}")
+    return OgbenchFile(source)
+
+
+def _lerobot(source: Path, overrides: list[str]) -> Any:
+    from playlearn.config import load_config
+    from playlearn.store.lerobot.config import LeRobotStoreConfig
+    from playlearn.store.lerobot.recordings import LeRobotRecordings
+
+    config = load_config(LeRobotStoreConfig, None, [f"--root={json.dumps(str(source))}", *overrides])
+    return LeRobotRecordings(replace(config, skip_broken=True).build())
+
+
+FORMATS = {"lerobot": _lerobot, "robomimic": _robomimic, "robosuite": _robosuite, "ogbench": _ogbench}
+
+VERB = Verb("import", "convert recordings of other formats into a store", run, add, overrides=True, kept=REPEAT)

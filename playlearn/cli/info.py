@@ -1,0 +1,59 @@
+"""`playlearn info`."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from playlearn.cli.verb import DONE, FAILED, Verb, add_json
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("store", type=Path, metavar="STORE")
+    parser.add_argument("--verify", action="store_true", help="read every episode and compare its checksum")
+    parser.add_argument(
+        "--report",
+        type=Path,
+        action="append",
+        metavar="FILE",
+        help="write what was played: a page (.html), its numbers (.json), film strips (.png), a card (.md); repeatable",
+    )
+    add_json(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from playlearn.store import open_store
+
+    store = open_store(arguments.store)
+    facts = store.info()
+    problems = store.verify() if arguments.verify else []
+    if arguments.verify:
+        facts = {**facts, "problems": problems}
+    if arguments.json:
+        print(json.dumps(facts, indent=2))
+    else:
+        _print_facts({key: value for key, value in facts.items() if key != "problems"})
+        if arguments.verify and not problems:
+            print(f"whole: every checksum of {len(store)} episodes holds")
+    for problem in problems:
+        print(f"playlearn: {problem}", file=sys.stderr)
+    if arguments.report:
+        from playlearn.collection.env import env
+        from playlearn.config import from_dict
+        from playlearn.report.store_report import write_report
+        from playlearn.sim import EnvironmentConfig
+
+        for path in arguments.report:
+            write_report(store, path, lambda: env(from_dict(EnvironmentConfig, dict(store.spec.environment))))
+            print(f"report  {path}", file=sys.stderr)
+    return FAILED if problems else DONE
+
+
+def _print_facts(facts: dict[str, Any]) -> None:
+    width = max(map(len, facts), default=0)
+    for name, value in facts.items():
+        print(f"{name:<{width}}  {value if isinstance(value, str) else json.dumps(value)}")
+
+
+VERB = Verb("info", "show what is in a store, and check that it is whole", run, add)
