@@ -3,7 +3,7 @@
 Importing one registers it: its config under `environment: {type: ...}`, and the skill library that acts in it.
 """
 
-import playlearn.sim  # noqa: F401 - before robosuite: it chooses OpenGL and quiets remarks
+import playlearn.sim  # noqa: F401 - first: it picks MuJoCo's OpenGL, which is read when mujoco is first imported
 from playlearn.envs.door import DoorConfig
 from playlearn.envs.lift import LiftConfig
 from playlearn.envs.make import make_env
