@@ -78,7 +78,6 @@ class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
             steps_to_goal=torch.zeros(len(action), dtype=torch.int64),
         )
         loss, metrics = self.policy(labeled, self._generator) if self.training else self._judged(labeled)
-        self.policy.head.updates += int(self.training)
         return loss, {name: float(value) for name, value in metrics.items()}
 
     def predict_action_chunk(self, batch: Mapping[str, Tensor], **_: Any) -> Tensor:

@@ -136,16 +136,15 @@ def taught(
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, training.updates)
     began = time.process_time()  # which other work on the machine does not stretch
     for update in range(training.updates):
-        model.head.updates = update
         contexts, chunks = examples(training.batch, rng)
         normal = (chunks - model.mean) / model.std
-        loss, _ = model.head.loss(model.features(contexts), normal, torch.ones(normal.shape[:2], dtype=torch.bool), rng)
+        mask = torch.ones(normal.shape[:2], dtype=torch.bool)
+        loss, _ = model.head.loss(model.features(contexts), normal, mask, rng, update)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         schedule.step()
     seconds = time.process_time() - began
-    model.head.updates = Head.updates
     return model.eval(), {
         "train_core_seconds": round(seconds, 1),
         "parameters": sum(p.numel() for p in model.parameters()),
