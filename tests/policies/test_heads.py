@@ -167,10 +167,10 @@ def test_a_decoders_guidance_is_that_of_a_single_prediction() -> None:
 
 def test_the_kl_of_a_cvae_warms_up_in_training_and_counts_fully_outside_of_it() -> None:
     """The loss less the error is kl 0.5 (max(each dimension's divergence, free)): 0 at first, half of it midway."""
-    made = policy(head="cvae", head_options={"warmup": 10, "kl": 0.5})
+    model = policy(head="cvae", head_options={"warmup": 10, "kl": 0.5})
     charged = []
     for updates in (0, 5, 10, 1000, None):
-        loss, metrics = made(examples(8), generator(), updates)
+        loss, metrics = model(examples(8), generator(), updates)
         charged.append((loss - metrics["error"]).item())
     assert charged[0] == pytest.approx(0.0, abs=1e-6)
     assert charged[2] > 0.05  # 4 dimensions of at least `free`, 0.05 nats, each: 0.1 or more

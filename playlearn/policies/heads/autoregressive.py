@@ -86,8 +86,8 @@ class AutoregressiveHead(Head):
         edges = self.get_buffer("edges")
         inner = edges[:, 1:-1].contiguous()  # (A, K - 1)
         values = chunk.detach().flatten(0, 1).T.contiguous()  # (A, B H)
-        found: Tensor = torch.searchsorted(inner, values, right=True).T.view(chunk.shape)
-        return found
+        tokens: Tensor = torch.searchsorted(inner, values, right=True).T.view(chunk.shape)
+        return tokens
 
     def numbers(self, tokens: Tensor) -> Tensor:
         """(B, H, A) bins -> (B, H, A), their centers."""

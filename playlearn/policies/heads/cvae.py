@@ -79,8 +79,8 @@ class CVAEHead(Head):
     def _posterior(self, features: Tensor, chunk: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and log standard deviation of z, each (B, Z)."""
         shown = torch.where(mask.unsqueeze(-1), chunk, 0.0).flatten(1)
-        seen = torch.cat([features, shown, mask.to(shown.dtype)], dim=-1)
-        mean, log_std = self.posterior_encoder(seen).chunk(2, dim=-1)
+        inputs = torch.cat([features, shown, mask.to(shown.dtype)], dim=-1)
+        mean, log_std = self.posterior_encoder(inputs).chunk(2, dim=-1)
         return mean, log_std.clamp(-5, 2)
 
     def _decode(self, features: Tensor, z: Tensor) -> Tensor:

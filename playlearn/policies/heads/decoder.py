@@ -35,13 +35,13 @@ class Steps:
     def __init__(self, decoder: Decoder, batch: int, positions: int) -> None:
         self._layers = [_Step(layer, batch, positions) for layer in decoder.blocks]  # type: ignore[arg-type]
         self._norm = _norm(decoder.norm)
-        self._seen = 0
+        self._position = 0
 
     def next(self, hidden: Tensor) -> Tensor:
         """(B, W) -> (B, W): one more position, beside those before it."""
         for layer in self._layers:
-            hidden = layer.next(hidden, self._seen)
-        self._seen += 1
+            hidden = layer.next(hidden, self._position)
+        self._position += 1
         return functional.layer_norm(hidden, *self._norm)
 
 
@@ -76,11 +76,11 @@ class _Step:
         self._project, self._attn_out = _linear(layer.project), _linear(layer.attn_out)
         self._mlp_up, self._mlp_down = _linear(layer.mlp_up), _linear(layer.mlp_down)
 
-    def next(self, hidden: Tensor, seen: int) -> Tensor:
+    def next(self, hidden: Tensor, position: int) -> Tensor:
         parts = _times(functional.layer_norm(hidden, *self._before), self._project)
         parts = parts.view(self._shape).transpose(0, 1).reshape(3, self._rows, self._depth)
-        self._past[:, :, seen] = parts[1:]
-        keys, values = self._past[:, :, : seen + 1].unbind()  # (B h, n, d)
+        self._past[:, :, position] = parts[1:]
+        keys, values = self._past[:, :, : position + 1].unbind()  # (B h, n, d)
         weights = torch.bmm(keys, parts[0].unsqueeze(-1)).mul_(self._depth**-0.5).softmax(1)  # (B h, n, 1)
         attended = torch.bmm(weights.transpose(1, 2), values).view(-1, self._width)
         hidden = hidden + _times(attended, self._attn_out)

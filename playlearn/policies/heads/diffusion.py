@@ -45,7 +45,7 @@ class DiffusionConfig(HeadConfig):
 class DiffusionHead(DenoisingHead):
     def __init__(self, config: DiffusionConfig, width: int, chunk: int, actions: int) -> None:
         super().__init__((chunk, actions), config.train_steps, config.noise_draws)
-        # diffusers takes a second to import: only who builds this head pays
+        # diffusers takes a second to import: only this head pays
         from diffusers.schedulers.scheduling_ddpm import DDPMScheduler
 
         self.config = config
