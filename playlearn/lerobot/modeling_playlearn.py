@@ -43,6 +43,7 @@ class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
             description = {"config": to_dict(self.policy.config), "spec": asdict(self.policy.spec)}
             config.built = json.dumps(description)
         self._generator = torch.Generator().manual_seed(config.seed)
+        self._updates = 0  # made so far, for what warms up
         self._actor: PolicyActor | None = None
 
     def get_optim_params(self) -> list[dict[str, Any]]:
@@ -71,8 +72,11 @@ class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
             action_mask=~padded.to(action.device),
             steps_to_goal=torch.zeros(len(action), dtype=torch.int64),
         )
-        loss, metrics = self.policy(labeled, self._generator) if self.training else self._evaluate(labeled)
-        self.policy.head.updates += int(self.training)
+        if self.training:
+            loss, metrics = self.policy(labeled, self._generator, self._updates)
+            self._updates += 1
+        else:
+            loss, metrics = self._evaluate(labeled)
         return loss, {name: float(value) for name, value in metrics.items()}
 
     def predict_action_chunk(self, batch: Mapping[str, Tensor], **_: Any) -> Tensor:

@@ -19,7 +19,7 @@ NOTE = "playlearn"
 def save_checkpoint(
     path: Path, modules: Mapping[str, nn.Module], optimizer: torch.optim.Optimizer, note: Mapping[str, Any]
 ) -> None:
-    """Write atomically. modules: prefix -> module; note: JSON that goes with it."""
+    """Write atomically. modules: prefix -> module; note: JSON, stored in the file's metadata."""
     tensors: dict[str, Tensor] = {}
     for prefix, module in modules.items():
         tensors |= {f"{prefix}.{name}": value for name, value in module.state_dict().items()}
@@ -31,7 +31,7 @@ def save_checkpoint(
 
 
 def load_checkpoint(path: Path, modules: Mapping[str, nn.Module], optimizer: torch.optim.Optimizer) -> dict[str, Any]:
-    """Put everything back where `save_checkpoint` took it from; returns its note.
+    """Restore what `save_checkpoint` was given; returns its note.
 
     Raises:
         CheckpointError: the file is missing, torn, or of another network.
@@ -50,11 +50,11 @@ def load_checkpoint(path: Path, modules: Mapping[str, nn.Module], optimizer: tor
             number, _, field = name.partition(".")
             like = parameters[int(number)]
             if value.shape == like.shape:
-                # a fused optimizer walks through memory: moments must lie as their parameter does
+                # a fused optimizer walks through memory: moments must have their parameter's layout
                 value = torch.empty_like(like).copy_(value)
             state.setdefault(int(number), {})[field] = value
         optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
-    except Exception as error:  # a torn file shows itself as any of a dozen types
+    except Exception as error:  # a torn file raises any of a dozen types
         raise CheckpointError(f"the checkpoint {path} cannot be read: {error}") from error
     return note
 

@@ -8,8 +8,8 @@ from torch.optim.swa_utils import AveragedModel
 def averaged(model: nn.Module, decay: float) -> AveragedModel:
     """A copy of `model` that follows it at each `update_parameters(model)`.
 
-    After n updates the decay is min(decay, (1 + n) / (10 + n)), so that a short run is not
-    dominated by the weights it began with.
+    After n updates the decay is min(decay, (1 + n) / (10 + n)), so that the initial weights do not
+    dominate a short run.
     """
 
     @torch.no_grad()

@@ -174,8 +174,13 @@ class Policy(nn.Module):
                 parameter.requires_grad_(False)
         return [parameter for parameter in named.values() if parameter.requires_grad]
 
-    def forward(self, batch: Batch, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
-        """Scalar training loss and its parts; all randomness (dropout, augmentation, noise) from `generator`."""
+    def forward(
+        self, batch: Batch, generator: torch.Generator, updates: int | None = None
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Scalar training loss and its parts; all randomness (dropout, augmentation, noise) from `generator`.
+
+        updates: made so far, for what warms up (None: after every warm-up).
+        """
         config, normal = self.config, self._normalized(batch)
         if not self.acting_learns:
             # the head's loss has no gradient that any trained parameter receives: only auxiliary losses are computed
@@ -190,7 +195,7 @@ class Policy(nn.Module):
         if config.proprio_dropout > 0:
             kept = self._kept(config.proprio_dropout, batch, generator)
             normal = replace(normal, state=normal.state * kept[:, None, None])
-        return self._loss(batch, normal, keep, generator, augment=generator)
+        return self._loss(batch, normal, keep, generator, augment=generator, updates=updates)
 
     @property
     def acting_learns(self) -> bool:
@@ -308,10 +313,11 @@ class Policy(nn.Module):
         keep: Tensor,
         generator: torch.Generator,
         augment: torch.Generator | None,
+        updates: int | None = None,
     ) -> tuple[Tensor, dict[str, Tensor]]:
         features, extra = self._features(_with_keypoints(normal, batch), keep, augment)
         chunk = self.normalizer.normalize("action", batch.action)
-        loss, metrics = self.head.loss(features, chunk, batch.action_mask, generator)
+        loss, metrics = self.head.loss(features, chunk, batch.action_mask, generator, updates)
         total, parts = _summed({"head": loss, **extra})
         return total, {**parts, **{name: value.detach() for name, value in metrics.items()}}
 

@@ -217,9 +217,8 @@ class _Run:
         for group in self.optimizer.param_groups:
             group["lr"] = config.lr * min(1, (self.step + 1) / max(config.warmup, 1)) * _cosine(self.progress())
         generator = _generator(config.seed, self.step, accelerator.process_index)
-        self.policy.head.updates = self.step
         with accelerator.autocast():
-            loss, metrics = self.model(batch.to(accelerator.device), generator)
+            loss, metrics = self.model(batch.to(accelerator.device), generator, self.step)
         self.optimizer.zero_grad()
         accelerator.backward(loss)
         norm = accelerator.clip_grad_norm_(self.model.parameters(), config.grad_clip)

@@ -9,6 +9,7 @@ import torch
 
 from playlearn.config import from_dict
 from playlearn.policies import EncoderConfig, HeadConfig, Policy, PolicyConfig, PolicySpec, TrunkConfig
+from playlearn.policies.heads import Head
 
 torch.set_num_threads(1)
 
@@ -21,7 +22,7 @@ SPEC = PolicySpec(
 )
 S, G, A, H = 3, 4, 3, 4
 
-# Only what makes a kind quick; a kind that is not named here is tested as it comes.
+# Only what makes a kind quick; a kind that is not named here is tested with its defaults.
 SMALL: dict[str, dict[str, Any]] = {
     "cnn": {"channels": [8, 8], "kernels": [3, 3], "strides": [2, 2], "features": 16, "hidden": 16},
     "keypoints": {
@@ -90,7 +91,7 @@ def policy(
     head_options: Mapping[str, Any] | None = None,
     goal_dropout: float = 0.1,
 ) -> Policy:
-    """A fresh one whose normalizer is no identity."""
+    """A fresh one whose normalizer is not the identity."""
     config = from_dict(
         PolicyConfig,
         {
@@ -150,3 +151,27 @@ def take(batch: Examples, rows: slice) -> Examples:
 
 def generator(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
+
+
+def train_on_two_modes(
+    config: HeadConfig, updates: int, *, steps: int = 2, positive: float = 0.75, decay: bool = False
+) -> Head:
+    """A head trained on whole chunks (steps, 1) of +1 (a fraction `positive` of them) and of -1.
+
+    decay: of the learning rate to 0, so that the samples do not depend on the last few examples.
+    """
+    torch.manual_seed(0)
+    head = config.build(2, steps, 1)
+    head.fit_action_statistics(torch.tensor([1.0, -1.0]).view(2, 1, 1).expand(2, steps, 1))
+    optimizer = torch.optim.Adam(head.parameters(), lr=3e-3)
+    schedule = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.0 if decay else 1.0, updates)
+    rng = generator(1)
+    for update in range(updates):
+        sign = torch.where(torch.rand(64, generator=rng) < positive, 1.0, -1.0)
+        chunk = sign.view(64, 1, 1).expand(64, steps, 1)
+        optimizer.zero_grad()
+        loss, _ = head.loss(torch.ones(64, 2), chunk, torch.ones(64, steps, dtype=torch.bool), rng, update)
+        loss.backward()
+        optimizer.step()
+        schedule.step()
+    return head

@@ -1,4 +1,4 @@
-"""Small, honest experiments: each shows one thing about imitation in minutes on a CPU."""
+"""Small experiments: each shows one property of imitation learning, in minutes on a CPU."""
 
 from playlearn.experiments.toy.base import Experiment, load_experiment, run
 from playlearn.experiments.toy.copying import CopyingConfig

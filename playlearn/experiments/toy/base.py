@@ -1,4 +1,4 @@
-"""What an experiment is: a config that runs, gives numbers, and draws them."""
+"""What every toy experiment offers: a config that measures and plots."""
 
 import json
 import time
@@ -26,24 +26,32 @@ class Experiment(draccus.ChoiceRegistry):
     """The base of every experiment's config; `type:` in a YAML picks the kind."""
 
     def measure(self, say: Callable[[str], None]) -> Rows:
-        """One row for each figure, JSON throughout; `say` tells how far it is."""
+        """Rows of results, JSON throughout; `say` is called with what is measured next."""
         raise NotImplementedError
 
     def plot(self, rows: Rows, path: Path) -> None:
-        """Write a PNG of what came out."""
+        """Write a PNG of the results."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class ToyExperiment:
-    """experiment: what is tried."""
+    """The root of an experiment's YAML.
+
+    experiment: which one, by its `type`.
+    """
 
     experiment: Experiment
 
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """How a head is trained on examples made up on the way: AdamW, cosine decay."""
+    """How a head is trained, on fresh examples at every update: AdamW, cosine decay.
+
+    updates: how many.
+    batch: examples of an update.
+    lr: learning rate, at its highest.
+    """
 
     updates: int = 2000
     batch: int = 256
@@ -52,7 +60,13 @@ class TrainingConfig:
 
 @dataclass(frozen=True)
 class HeadsConfig:
-    """heads: name -> config of each that is compared. seed: of weights, examples and samples."""
+    """What experiments that compare heads have in common.
+
+    heads: name -> config of each head.
+    training: of every head.
+    samples: drawn of every head.
+    seed: of weights, examples and samples.
+    """
 
     heads: dict[str, HeadConfig] = field(default_factory=dict)
     training: TrainingConfig = field(default_factory=TrainingConfig)
@@ -61,19 +75,25 @@ class HeadsConfig:
 
 
 def load_experiment(path: Path, overrides: Sequence[str]) -> Experiment:
-    """The experiment of a YAML file; overrides name its fields. Raises UsageError where the file describes none."""
-    words = [f"--experiment.{word[2:]}" if word.startswith("--") else word for word in overrides]
-    return load_config(ToyExperiment, path, words).experiment
+    """The experiment of a YAML file.
+
+    overrides: `--field value` of the experiment.
+
+    Raises:
+        UsageError: the file, or an override, describes no experiment.
+    """
+    arguments = [f"--experiment.{one[2:]}" if one.startswith("--") else one for one in overrides]
+    return load_config(ToyExperiment, path, arguments).experiment
 
 
 def run(experiment: Experiment, out: Path, say: Callable[[str], None]) -> Rows:
-    """Measure, and leave in `out`: results.json, plot.png, config.yaml.
+    """Measure, and write results.json, plot.png and config.yaml to `out`.
 
     Raises:
-        UsageError: `out` holds other results already.
+        UsageError: `out` has results already.
     """
     if (out / "results.json").exists():
-        raise UsageError(f"{out} holds results already: remove them, or choose another --out")
+        raise UsageError(f"{out} has results already: remove them, or choose another --out")
     limit()
     began = time.perf_counter()
     rows = experiment.measure(say)
@@ -93,8 +113,11 @@ def run(experiment: Experiment, out: Path, say: Callable[[str], None]) -> Rows:
     return rows
 
 
-class Answering(nn.Module):
-    """A head over features of its own: (B, C) contexts -> chunks."""
+class ContextPolicy(nn.Module):
+    """A head on the features of a small MLP: (B, C) contexts -> chunks.
+
+    mean, std: of the examples' actions, which the head sees normalized.
+    """
 
     mean: Tensor
     std: Tensor
@@ -117,35 +140,34 @@ class Answering(nn.Module):
         return self.head.mode(self.features(contexts)) * self.std + self.mean
 
 
-def taught(
+def train_head(
     config: HeadConfig,
     training: TrainingConfig,
     examples: Callable[[int, torch.Generator], tuple[Tensor, Tensor]],
     seed: int,
-) -> tuple[Answering, Mapping[str, float]]:
-    """A head trained on `examples(n, generator) -> contexts (n, C), chunks (n, H, A)`, and what that took."""
+) -> tuple[ContextPolicy, Mapping[str, float]]:
+    """A head trained on `examples(n, generator) -> contexts (n, C), chunks (n, H, A)`, and what the training cost."""
     rng = torch.Generator().manual_seed(seed)
     contexts, chunks = examples(4096, rng)
     with torch.random.fork_rng(devices=[]):
         torch.random.manual_seed(seed)
-        model = Answering(config.build(WIDTH, *chunks.shape[1:]), contexts.shape[1])
+        model = ContextPolicy(config.build(WIDTH, *chunks.shape[1:]), contexts.shape[1])
     model.mean.fill_(chunks.mean())
     model.std.fill_(chunks.std())
     model.head.fit_action_statistics((chunks - model.mean) / model.std)
     optimizer = torch.optim.AdamW(model.parameters(), lr=training.lr)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, training.updates)
-    began = time.process_time()  # which other work on the machine does not stretch
+    began = time.process_time()  # which other work on the machine does not add to
     for update in range(training.updates):
-        model.head.updates = update
         contexts, chunks = examples(training.batch, rng)
         normal = (chunks - model.mean) / model.std
-        loss, _ = model.head.loss(model.features(contexts), normal, torch.ones(normal.shape[:2], dtype=torch.bool), rng)
+        mask = torch.ones(normal.shape[:2], dtype=torch.bool)
+        loss, _ = model.head.loss(model.features(contexts), normal, mask, rng, update)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         schedule.step()
     seconds = time.process_time() - began
-    model.head.updates = Head.updates
     return model.eval(), {
         "train_core_seconds": round(seconds, 1),
         "parameters": sum(p.numel() for p in model.parameters()),

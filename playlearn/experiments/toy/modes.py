@@ -1,6 +1,6 @@
-"""Many answers in many dimensions: where each head begins to lose some, or to invent others.
+"""Many modes in many dimensions: where each head begins to lose some, or to sample between them.
 
-One of `modes` directions in A dimensions is taken, out and back; a chunk is that excursion.
+A chunk goes out and back in one of `modes` directions in A dimensions.
 """
 
 from collections.abc import Callable
@@ -11,16 +11,24 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from playlearn.experiments.toy.base import Experiment, HeadsConfig, Rows, taught
+from playlearn.experiments.toy.base import Experiment, HeadsConfig, Rows, train_head
 
-STEPS, SPREAD = 8, 0.05
-NEAR = 3.0  # spreads, root mean square over the chunk, within which a sample belongs to a mode
+STEPS, STD = 8, 0.05
+NEAR = 3.0  # stds, root mean square over the chunk, within which a sample belongs to a mode
 
 
 @Experiment.register_subclass("modes")
 @dataclass(frozen=True)
 class ModesConfig(HeadsConfig, Experiment):
-    """dimensions: of the action. modes: how many answers."""
+    """Heads on data of many modes, for every pair of `dimensions` and `modes`.
+
+    heads: name -> config of each head.
+    training: of every head.
+    samples: drawn of every head.
+    seed: of weights, examples and samples.
+    dimensions: A, of the action.
+    modes: of the data.
+    """
 
     dimensions: tuple[int, ...] = (2, 7, 14)
     modes: tuple[int, ...] = (2, 4, 8)
@@ -32,9 +40,9 @@ class ModesConfig(HeadsConfig, Experiment):
                 for modes in self.modes:
                     say(f"{name}: {modes} modes in {dimensions} dimensions")
                     centers = _centers(dimensions, modes)
-                    model, cost = taught(head, self.training, _examples(centers), self.seed)
+                    model, cost = train_head(head, self.training, _examples(centers), self.seed)
                     rng = torch.Generator().manual_seed(self.seed)
-                    valid, coverage = _judge(model.sample(torch.ones(self.samples, 1), rng), centers)
+                    valid, coverage = _score(model.sample(torch.ones(self.samples, 1), rng), centers)
                     rows.append(
                         {
                             "head": name,
@@ -53,23 +61,23 @@ class ModesConfig(HeadsConfig, Experiment):
         names = list(dict.fromkeys(row["head"] for row in rows))
         cells = [(d, m) for d in self.dimensions for m in self.modes]
         figure = Figure(figsize=(9, 0.42 * len(names) + 1.6), layout="constrained")
-        for place, figure_of in enumerate(("valid", "coverage")):
-            values = {(row["head"], row["dimensions"], row["modes"]): row[figure_of] for row in rows}
+        for number, column_of in enumerate(("valid", "coverage")):
+            values = {(row["head"], row["dimensions"], row["modes"]): row[column_of] for row in rows}
             table = np.array([[values[name, d, m] for d, m in cells] for name in names])
-            axes = figure.add_subplot(1, 2, place + 1)
+            axes = figure.add_subplot(1, 2, number + 1)
             axes.imshow(table, vmin=0, vmax=1, cmap="Blues", aspect="auto")
             for (line, column), value in np.ndenumerate(table):
                 color = "white" if value > 0.6 else "black"
                 axes.text(column, line, f"{value:.2f}", ha="center", va="center", fontsize=7, color=color)
             axes.set_xticks(range(len(cells)), [f"{m} modes\n{d}-D" for d, m in cells], fontsize=6)
-            axes.set_yticks(range(len(names)), names if place == 0 else [""] * len(names), fontsize=8)
-            title = "share of samples near a mode" if figure_of == "valid" else "evenness over the modes"
+            axes.set_yticks(range(len(names)), names if number == 0 else [""] * len(names), fontsize=8)
+            title = "fraction of samples near a mode" if column_of == "valid" else "evenness over the modes"
             axes.set_title(title, fontsize=9)
         figure.savefig(path, dpi=130)
 
 
 def _centers(dimensions: int, modes: int) -> Tensor:
-    """(K, H, A) excursions: evenly spaced directions in a plane, axes and their opposites where there is room."""
+    """(K, H, A) the modes: evenly spaced directions in a plane, or axes and their opposites in more dimensions."""
     if dimensions == 2:
         angle = torch.arange(modes) * (2 * torch.pi / modes)
         directions = torch.stack([angle.cos(), angle.sin()], dim=1)
@@ -83,19 +91,19 @@ def _centers(dimensions: int, modes: int) -> Tensor:
 def _examples(centers: Tensor) -> Callable[[int, torch.Generator], tuple[Tensor, Tensor]]:
     def draw(count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         which = torch.randint(len(centers), (count,), generator=generator)
-        noise = SPREAD * torch.randn(count, *centers.shape[1:], generator=generator)
+        noise = STD * torch.randn(count, *centers.shape[1:], generator=generator)
         return torch.ones(count, 1), centers[which] + noise
 
     return draw
 
 
-def _judge(samples: Tensor, centers: Tensor) -> tuple[float, float]:
-    """Share of samples near a mode; how evenly those are spread: exp(entropy) / K, 1 where all modes are met alike."""
+def _score(samples: Tensor, centers: Tensor) -> tuple[float, float]:
+    """Fraction of samples near a mode; how even those are: exp(entropy) / K, 1 where all modes are equally likely."""
     off = (samples[:, None] - centers).square().mean((-2, -1)).sqrt()  # (n, K)
     nearest, which = off.min(dim=1)
-    near = nearest < NEAR * SPREAD
+    near = nearest < NEAR * STD
     if not near.any():
         return 0.0, 0.0
-    share = torch.bincount(which[near], minlength=len(centers)) / near.sum()
-    entropy = -(share * share.clamp(min=1e-12).log()).sum()
+    weight = torch.bincount(which[near], minlength=len(centers)) / near.sum()
+    entropy = -(weight * weight.clamp(min=1e-12).log()).sum()
     return float(near.float().mean()), float(entropy.exp() / len(centers))

@@ -1,8 +1,8 @@
 """Compounding error: mistakes against the length of the walk (Ross and Bagnell 2010; Ross et al. 2011).
 
-A clone that errs once is beside the rope, where it has never been, and errs from then on: mistakes grow as
-T squared. Whoever has learned to step back pays for each mistake once: they grow as T. All learn from the
-same number of labeled steps.
+A clone that makes one mistake is beside the rope, where it was never trained, and makes mistakes from then on: they
+grow as T squared. A policy that has learned to step back makes each mistake once: they grow as T. All methods train on
+the same number of labeled steps.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ import numpy as np
 
 from playlearn.episode import Array
 from playlearn.experiments.toy.base import Experiment, Rows
-from playlearn.experiments.toy.tightrope_env import CUE, FURTHEST, Policy, back_to, cloned, walk
+from playlearn.experiments.toy.tightrope_env import CUE, FURTHEST, Policy, clone, turn_back, walk
 
 THEORY = {"cloning": 2, "noise injection": 1, "corrective augmentation": 1, "DAgger": 1}
 
@@ -21,9 +21,15 @@ THEORY = {"cloning": 2, "noise injection": 1, "corrective augmentation": 1, "DAg
 @Experiment.register_subclass("tightrope")
 @dataclass(frozen=True)
 class TightropeConfig(Experiment):
-    """labeled: steps each method may have labeled. lengths: T of the walks judged. walks: of each length.
+    """Methods of imitation on the tightrope.
 
-    stumble: share of turns by chance in noise injection. rounds: of DAgger. seeds: each trains anew.
+    labeled: steps that the expert labels for each method.
+    updates: of each training.
+    lengths: T of the walks to evaluate on.
+    walks: of each length.
+    stumble: fraction of the turns that are random in noise injection.
+    rounds: of DAgger.
+    seeds: policies trained with each method.
     """
 
     labeled: int = 2000
@@ -36,9 +42,9 @@ class TightropeConfig(Experiment):
 
     def measure(self, say: Callable[[str], None]) -> Rows:
         rows: Rows = []
-        for name, learn in self._methods().items():
+        for name, train in self._methods().items():
             say(name)
-            policies = [learn(seed) for seed in range(self.seeds)]
+            policies = [train(seed) for seed in range(self.seeds)]
             mistakes = [
                 [walk(policy, self.walks, steps, np.random.default_rng((9, seed))).mistakes for steps in self.lengths]
                 for seed, policy in enumerate(policies)
@@ -65,7 +71,7 @@ class TightropeConfig(Experiment):
         for row, color in zip(rows, ("#d1495b", "#edae49", "#66a182", "#2a6f97"), strict=False):
             label = f"{row['method']}: T^{row['exponent']:.2f} (theory {row['theory']})"
             axes.loglog(row["lengths"], row["mistakes"], "o-", color=color, label=label)
-        axes.set(xlabel="length of the walk T, steps", ylabel="mistakes a walk")
+        axes.set(xlabel="length T of the walk, steps", ylabel="mistakes per walk")
         axes.legend(fontsize=8, frameon=False)
         figure.savefig(path, dpi=130)
 
@@ -78,31 +84,31 @@ class TightropeConfig(Experiment):
         }
 
     def _expert(self, seed: int, stumble: float) -> tuple[Array, Array]:
-        """(labeled, F) seen, (labeled,) right turns, on walks of the greatest length."""
+        """(labeled, F) observations, (labeled,) the expert's turns, on walks of the greatest length."""
         steps = max(self.lengths)
         taken = walk(None, -(-self.labeled // steps), steps, np.random.default_rng((1, seed)), stumble)
-        return taken.seen.reshape(-1, CUE + 2)[: self.labeled], taken.right.reshape(-1)[: self.labeled]
+        return taken.observed.reshape(-1, CUE + 2)[: self.labeled], taken.label.reshape(-1)[: self.labeled]
 
-    def _clone(self, seen: Array, right: Array, seed: int) -> Policy:
-        return cloned(seen, right, self.updates, seed)
+    def _clone(self, observed: Array, labels: Array, seed: int) -> Policy:
+        return clone(observed, labels, self.updates, seed)
 
     def _corrected(self, seed: int) -> Policy:
-        """Half of the expert's steps are shown as if from beside the rope, with the turn that leads back."""
-        seen, right = self._expert(seed, 0.0)
+        """Half of the expert's steps are moved beside the rope, with the turn that leads back as the label."""
+        observed, labels = self._expert(seed, 0.0)
         rng = np.random.default_rng((2, seed))
-        off = np.where(rng.random(len(seen)) < 0.5, rng.integers(-FURTHEST, FURTHEST + 1, len(seen)), 0)
-        moved = seen.copy()
+        off = np.where(rng.random(len(observed)) < 0.5, rng.integers(-FURTHEST, FURTHEST + 1, len(observed)), 0)
+        moved = observed.copy()
         moved[:, CUE:] = np.stack([np.maximum(off, 0), np.maximum(-off, 0)], axis=1)
-        return self._clone(moved, back_to(right, off), seed)
+        return self._clone(moved, turn_back(labels, off), seed)
 
     def _dagger(self, seed: int) -> Policy:
-        """A share of the labels on the expert's walks, the rest on the learner's own, round by round."""
-        share = self.labeled // (self.rounds + 1)
-        seen, right = (column[:share] for column in self._expert(seed, 0.0))
+        """Some of the labels are on the expert's walks, as many on the learner's own in each round."""
+        count = self.labeled // (self.rounds + 1)
+        observed, labels = (column[:count] for column in self._expert(seed, 0.0))
         steps = max(self.lengths)
         for number in range(self.rounds):
-            learner = self._clone(seen, right, seed)
-            taken = walk(learner, -(-share // steps), steps, np.random.default_rng((3, seed, number)))
-            seen = np.concatenate([seen, taken.seen.reshape(-1, CUE + 2)[:share]])
-            right = np.concatenate([right, taken.right.reshape(-1)[:share]])
-        return self._clone(seen, right, seed)
+            learner = self._clone(observed, labels, seed)
+            taken = walk(learner, -(-count // steps), steps, np.random.default_rng((3, seed, number)))
+            observed = np.concatenate([observed, taken.observed.reshape(-1, CUE + 2)[:count]])
+            labels = np.concatenate([labels, taken.label.reshape(-1)[:count]])
+        return self._clone(observed, labels, seed)

@@ -7,6 +7,8 @@ import draccus
 import torch
 from torch import Tensor, nn
 
+from playlearn.policies.heads.guidance import Guidance
+
 Generators = torch.Generator | Sequence[torch.Generator]
 
 
@@ -14,47 +16,38 @@ Generators = torch.Generator | Sequence[torch.Generator]
 class HeadConfig(draccus.ChoiceRegistry):
     """The base of every head's config; `type:` in a YAML picks the kind."""
 
+    @property
+    def unimodal(self) -> bool:
+        """Whether the distribution has a single mode, so that of two equally good chunks it makes their mean."""
+        return False
+
     def build(self, width: int, chunk: int, actions: int) -> "Head":
         """width: D of the features; chunk: H; actions: A."""
         raise NotImplementedError
 
 
-@dataclass(frozen=True, eq=False)
-class Guidance:
-    """Classifier-free guidance (Ho and Salimans, 2022): what the goal adds to the prediction, times `weight`.
-
-    features: (B, D) of the same examples without their goal. A weight of 0 forgets the goal, 1 is the
-    plain prediction, more exaggerates what the goal asks for.
-    """
-
-    features: Tensor
-    weight: float
-
-    def combine(self, with_goal: Tensor, without_goal: Tensor) -> Tensor:
-        return without_goal + self.weight * (with_goal - without_goal)
-
-
 class Head(nn.Module):
-    """A distribution over (H, A) chunks in normalized action space.
+    """A distribution over (H, A) chunks in normalized action space; complete when built.
 
-    updates: how many training has made, for what warms up; beyond any warm-up where nobody trains.
-    keep: chunks in a row that are to be sampled with the same noise, so that one choice lasts so long.
+    noise_repeat: consecutive chunks that are sampled with the same noise, so that one choice lasts so long.
     """
 
-    updates: int = 10**9
     noise_repeat: int = 1
 
     def fit_action_statistics(self, chunks: Tensor) -> None:
         """Look at (n, H, A) normalized chunks of the training data, once, before the first update."""
 
     def loss(
-        self, features: Tensor, chunk: Tensor, mask: Tensor, generator: torch.Generator
+        self, features: Tensor, chunk: Tensor, mask: Tensor, generator: torch.Generator, updates: int | None = None
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """From (B, D), (B, H, A) and (B, H) bool to a scalar and what to log; masked actions count for nothing."""
+        """From (B, D), (B, H, A) and (B, H) bool to a scalar and what to log; masked actions do not contribute.
+
+        updates: made so far in this training, for what warms up; None outside training, after every warm-up.
+        """
         raise NotImplementedError
 
     def sample(self, features: Tensor, generator: Generators, guidance: Guidance | None = None) -> Tensor:
-        """(B, D) -> (B, H, A). A sequence of B generators gives each row noise of its own, whatever its neighbors."""
+        """(B, D) -> (B, H, A). With a sequence of B generators, a row's noise does not depend on the other rows."""
         raise NotImplementedError
 
     def mode(self, features: Tensor, guidance: Guidance | None = None) -> Tensor:

@@ -1,4 +1,4 @@
-"""A small causal decoder: all positions at once for training, or one after the other with a key-value cache."""
+"""A small causal decoder: all positions in one pass for training, or one after the other with a key-value cache."""
 
 import torch
 from torch import Tensor, nn
@@ -6,7 +6,7 @@ from torch.nn import functional
 
 
 class Decoder(nn.Module):
-    """Layers of attention and feed-forward networks, each on normed input and added to it, and a norm at the end."""
+    """Pre-norm layers of attention and feed-forward networks with residual connections, and a norm at the end."""
 
     def __init__(self, width: int, layers: int, heads: int) -> None:
         super().__init__()
@@ -21,27 +21,27 @@ class Decoder(nn.Module):
         return out
 
     def steps(self, batch: int, positions: int) -> "Steps":
-        """What decodes up to `positions` one at a time."""
+        """Decodes up to `positions` positions, one at a time."""
         return Steps(self, batch, positions)
 
 
 class Steps:
-    """A decoder that is given its positions one after the other, and keeps what it has seen.
+    """A decoder that is given its positions one after the other, with a key-value cache.
 
-    A policy that makes a hundred of them for each plan spends its time on the way to the arithmetic, not on it: so
-    every weight is looked up once, and every step is plain function calls.
+    At a hundred steps a plan, overhead costs more time than arithmetic. So every weight is looked up once, and every
+    step is plain function calls.
     """
 
     def __init__(self, decoder: Decoder, batch: int, positions: int) -> None:
         self._layers = [_Step(layer, batch, positions) for layer in decoder.blocks]  # type: ignore[arg-type]
         self._norm = _norm(decoder.norm)
-        self._seen = 0
+        self._position = 0
 
     def next(self, hidden: Tensor) -> Tensor:
         """(B, W) -> (B, W): one more position, beside those before it."""
         for layer in self._layers:
-            hidden = layer.next(hidden, self._seen)
-        self._seen += 1
+            hidden = layer.next(hidden, self._position)
+        self._position += 1
         return functional.layer_norm(hidden, *self._norm)
 
 
@@ -57,14 +57,14 @@ class _Layer(nn.Module):
     def forward(self, hidden: Tensor, *, causal: bool) -> Tensor:
         parts = self.project(self.before(hidden)).unflatten(-1, (3, self.heads, -1)).transpose(1, 3)  # (B, h, 3, L, d)
         query, key, value = parts.unbind(2)
-        seen = functional.scaled_dot_product_attention(query, key, value, is_causal=causal)
-        hidden = hidden + self.attn_out(seen.transpose(1, 2).flatten(2))
+        attended = functional.scaled_dot_product_attention(query, key, value, is_causal=causal)
+        hidden = hidden + self.attn_out(attended.transpose(1, 2).flatten(2))
         out: Tensor = hidden + self.mlp_down(functional.gelu(self.mlp_up(self.between(hidden))))
         return out
 
 
 class _Step:
-    """A layer at one position; past (2, B h, positions, d), keys and values, filled as it goes."""
+    """A layer at one position; past (2, B h, positions, d) holds the keys and values of the positions so far."""
 
     def __init__(self, layer: _Layer, batch: int, positions: int) -> None:
         like = layer.attn_out.weight
@@ -76,19 +76,19 @@ class _Step:
         self._project, self._attn_out = _linear(layer.project), _linear(layer.attn_out)
         self._mlp_up, self._mlp_down = _linear(layer.mlp_up), _linear(layer.mlp_down)
 
-    def next(self, hidden: Tensor, seen: int) -> Tensor:
+    def next(self, hidden: Tensor, position: int) -> Tensor:
         parts = _times(functional.layer_norm(hidden, *self._before), self._project)
         parts = parts.view(self._shape).transpose(0, 1).reshape(3, self._rows, self._depth)
-        self._past[:, :, seen] = parts[1:]
-        keys, values = self._past[:, :, : seen + 1].unbind()  # (B h, n, d)
-        share = torch.bmm(keys, parts[0].unsqueeze(-1)).mul_(self._depth**-0.5).softmax(1)  # (B h, n, 1)
-        found = torch.bmm(share.transpose(1, 2), values).view(-1, self._width)
-        hidden = hidden + _times(found, self._attn_out)
+        self._past[:, :, position] = parts[1:]
+        keys, values = self._past[:, :, : position + 1].unbind()  # (B h, n, d)
+        weights = torch.bmm(keys, parts[0].unsqueeze(-1)).mul_(self._depth**-0.5).softmax(1)  # (B h, n, 1)
+        attended = torch.bmm(weights.transpose(1, 2), values).view(-1, self._width)
+        hidden = hidden + _times(attended, self._attn_out)
         inner = functional.gelu(_times(functional.layer_norm(hidden, *self._between), self._mlp_up))
         return hidden + _times(inner, self._mlp_down)
 
 
-Linear = tuple[Tensor, Tensor]  # bias, and the weight as a product wants it
+Linear = tuple[Tensor, Tensor]  # bias, and the weight transposed
 
 
 def _linear(layer: nn.Linear) -> Linear:

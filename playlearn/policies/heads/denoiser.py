@@ -7,8 +7,8 @@ from torch import Tensor, nn
 class Denoiser(nn.Module):
     """(N, B, H A) noisy chunks, (N, B) times and (B, D) features -> (N, B, H A).
 
-    Scale and shift of a block are a sum of what the features say, computed once an example, and what
-    the time, one of `times`, says, looked up: N noised copies of a chunk then cost no more than their own layers.
+    Scale and shift of a block are the sum of a projection of the features, computed once an example, and one of the
+    time, looked up among `times`. N noised copies of a chunk then cost no more than their own layers.
     """
 
     def __init__(self, width: int, blocks: int, times: int, features: int, out: int) -> None:
@@ -29,7 +29,7 @@ class Denoiser(nn.Module):
         return out
 
     def _film(self, time: Tensor) -> Tensor:
-        """What the time says: of the few that are asked for or, where they are many, of all that there are."""
+        """(N, B) times -> (N, B, 2 W blocks): only the times needed or, where those are many, all there are."""
         times = self.get_buffer("times")
         if time.numel() < len(times):
             few: Tensor = self.from_time(times[time])

@@ -1,25 +1,31 @@
 """Diffusion over action chunks (Ho et al. 2020; Chi et al. 2023): DDPM training, few-step DDIM or DPM-Solver."""
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import torch
 from torch import Tensor
 
-from playlearn.policies.heads.base import Generators, Guidance, Head, HeadConfig, draw_noise, masked_mean
+from playlearn.policies.heads.base import HeadConfig
 from playlearn.policies.heads.denoiser import Denoiser
+from playlearn.policies.heads.denoising import DenoisingHead
 
 
 @HeadConfig.register_subclass("diffusion")
 @dataclass(frozen=True)
 class DiffusionConfig(HeadConfig):
-    """width, blocks: size of the denoiser, an MLP with residual blocks modulated (FiLM) by features and time.
+    """Diffusion over chunks.
 
-    train_steps: length of the noise schedule. prediction: what the denoiser outputs.
-    sampler, sample_steps: how chunks are drawn. noise_draws: noised copies of each chunk in one update;
-    the encoder, which costs most, runs once for all of them. clip: bound on the predicted clean chunk,
-    in standard deviations of the data.
+    width: units of a layer of the denoiser, an MLP with residual blocks modulated (FiLM) by features and time.
+    blocks: residual blocks of the denoiser.
+    train_steps: length of the noise schedule.
+    schedule: of the noise, by its name in diffusers.
+    prediction: what the denoiser outputs: the noise, the clean chunk (`sample`), or the velocity between them.
+    sampler: how chunks are drawn.
+    sample_steps: denoising steps of a draw.
+    noise_draws: noised copies of each chunk in one update; the encoder, which costs most, runs once for all of them.
+    clip: bound on the predicted clean chunk, in standard deviations of the data (ddim).
     """
 
     width: int = 512
@@ -36,58 +42,35 @@ class DiffusionConfig(HeadConfig):
         return DiffusionHead(self, width, chunk, actions)
 
 
-class DiffusionHead(Head):
+class DiffusionHead(DenoisingHead):
     def __init__(self, config: DiffusionConfig, width: int, chunk: int, actions: int) -> None:
-        super().__init__()
-        # diffusers takes a second to import: only who builds this head pays
+        super().__init__((chunk, actions), config.train_steps, config.noise_draws)
+        # diffusers takes a second to import: only this head pays
         from diffusers.schedulers.scheduling_ddpm import DDPMScheduler
 
         self.config = config
-        self.shape = (chunk, actions)
         self.denoiser = Denoiser(config.width, config.blocks, config.train_steps, width, chunk * actions)
         self.noiser = DDPMScheduler(
             num_train_timesteps=config.train_steps, beta_schedule=config.schedule, prediction_type=config.prediction
         )
 
-    def loss(
-        self, features: Tensor, chunk: Tensor, mask: Tensor, generator: torch.Generator
-    ) -> tuple[Tensor, dict[str, Tensor]]:
-        draws, batch = self.config.noise_draws, len(chunk)
-        # a masked action must not even reach the denoiser's input
-        clean = torch.where(mask.unsqueeze(-1), chunk, 0.0).expand(draws, *chunk.shape)  # (N, B, H, A)
-        noise = draw_noise(clean.shape, generator, chunk.device)
-        time = torch.randint(self.config.train_steps, (draws, batch), generator=generator, device=generator.device)
-        time = time.to(chunk.device)
-        noisy = self.noiser.add_noise(clean.flatten(0, 1), noise.flatten(0, 1), time.flatten()).view_as(clean)
-        predicted = self.denoiser(noisy.flatten(2), time, features).view_as(clean)
-        error = (predicted - self._target(clean, noise, time)).square()
-        return masked_mean(error, mask.expand(draws, *mask.shape)), {}
+    @property
+    def network(self) -> Denoiser:
+        return self.denoiser
 
-    def sample(self, features: Tensor, generator: Generators, guidance: Guidance | None = None) -> Tensor:
-        noise = draw_noise((len(features), *self.shape), generator, features.device)
-        return self._denoise(noise, features, guidance)
-
-    def mode(self, features: Tensor, guidance: Guidance | None = None) -> Tensor:
-        """The chunk that the most likely noise (zero) leads to."""
-        return self._denoise(features.new_zeros(len(features), *self.shape), features, guidance)
-
-    def _target(self, clean: Tensor, noise: Tensor, time: Tensor) -> Tensor:
+    def _noised(self, clean: Tensor, noise: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
+        flat = clean.flatten(0, 1), noise.flatten(0, 1), time.flatten()
+        noisy = self.noiser.add_noise(*flat).view_as(clean)
         if self.config.prediction == "sample":
-            return clean
+            return noisy, clean
         if self.config.prediction == "epsilon":
-            return noise
-        flat: Tensor = self.noiser.get_velocity(clean.flatten(0, 1), noise.flatten(0, 1), time.flatten())
-        return flat.view_as(clean)
+            return noisy, noise
+        return noisy, self.noiser.get_velocity(*flat).view_as(clean)
 
-    def _denoise(self, noisy: Tensor, features: Tensor, guidance: Guidance | None) -> Tensor:
-        sampler = self._sampler()
+    def _denoise(self, noise: Tensor, predict: Callable[[Tensor, int], Tensor]) -> Tensor:
+        sampler, noisy = self._sampler(), noise
         for step in sampler.timesteps:
-            time = torch.full((1, 1), int(step), device=noisy.device)
-            flat = noisy.flatten(1).unsqueeze(0)  # (1, B, H A)
-            predicted = self.denoiser(flat, time, features)
-            if guidance is not None:
-                predicted = guidance.combine(predicted, self.denoiser(flat, time, guidance.features))
-            noisy = sampler.step(predicted[0].view_as(noisy), step, noisy).prev_sample
+            noisy = sampler.step(predict(noisy, int(step)), step, noisy).prev_sample
         return noisy
 
     def _sampler(self) -> Any:

@@ -1,4 +1,4 @@
-"""One Gaussian over a chunk: the baseline that averages what has two answers."""
+"""One Gaussian over a chunk: the baseline that averages two modes."""
 
 from dataclasses import dataclass
 
@@ -9,11 +9,18 @@ from playlearn.policies.heads.mog import Gaussian, MixtureConfig, MixtureHead
 @HeadConfig.register_subclass("gaussian")
 @dataclass(frozen=True)
 class GaussianConfig(HeadConfig):
-    """hidden, std, temperature: as of the mixture, of which this is the case of one component."""
+    """A mixture of one component.
+
+    hidden: units of the hidden layer.
+    std_range: least and greatest standard deviation; see MixtureConfig.
+    temperature: scales the standard deviation of what is sampled.
+    """
 
     hidden: int = 256
     std_range: tuple[float, float] = (0.1, 2.0)
     temperature: float = 1.0
+
+    unimodal = True
 
     def build(self, width: int, chunk: int, actions: int) -> MixtureHead:
         mixture = MixtureConfig(1, self.hidden, self.std_range, self.temperature)

@@ -1,10 +1,9 @@
-"""Latent plans from play (Lynch et al. 2019): what a stretch of play did, named by a posterior encoder that
-sees it whole.
+"""Latent plans from play (Lynch et al. 2019): a chunk of play, summarized by a posterior encoder that sees all of it.
 
-The window is the chunk. In training a posterior encoder reads the whole of it and names its plan z; a proposer,
-which sees only the present and the goal, learns to propose such plans; a decoder acts on the plan. To act,
-a plan is drawn from the proposer, and its draw is kept for `keep` chunks: what is chosen among several
-possible plans is then one choice, while what it means follows what is seen.
+The window is the chunk. In training, plan recognition (a posterior encoder) reads all of it and describes it by a plan
+z. Plan proposal, which sees only the present and the goal, learns to propose such plans, and a decoder turns a plan
+into actions. To act, a plan is drawn from the proposal, and its noise is kept for `noise_repeat` chunks. The choice
+among several possible plans is then one, while the plan follows what is observed.
 """
 
 from dataclasses import dataclass
@@ -12,17 +11,22 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from playlearn.policies.heads.base import Generators, Guidance, Head, HeadConfig, draw_noise, masked_mean
+from playlearn.policies.heads.base import Generators, Head, HeadConfig, draw_noise, masked_mean
+from playlearn.policies.heads.guidance import Guidance, guided
 
 
 @HeadConfig.register_subclass("latent_plan")
 @dataclass(frozen=True)
 class LatentPlanConfig(HeadConfig):
-    """latent: numbers in a plan. hidden: units of each hidden layer. keep: chunks acted on with one draw.
+    """Latent plans.
 
-    kl: weight of the divergence of posterior_encoder and proposer, against the error of one number of the chunk.
-    balance: share of it that moves the proposer towards the posterior_encoder, rather than the other way round
-    (KL balancing, Hafner et al. 2021). free: nats a latent number may differ without being charged.
+    latent: dimensions of a plan.
+    hidden: units of each hidden layer.
+    noise_repeat: consecutive chunks that are sampled with the same noise.
+    kl: weight of the divergence of recognition and proposal, against the error of one number of the chunk.
+    balance: fraction of the divergence that moves the proposal towards the recognition, rather than the other way
+        round (KL balancing, Hafner et al. 2021).
+    free: nats per latent dimension that cost nothing (free bits).
     """
 
     latent: int = 16
@@ -57,7 +61,7 @@ class LatentPlanHead(Head):
         self.noise_repeat = config.noise_repeat
         self.shape = (chunk, actions)
         hidden, latent = config.hidden, config.latent
-        # Both ways along the window, as a plan is told by all of it.
+        # Both ways along the window: a plan depends on all of it.
         self.reader = nn.GRU(actions + 1, hidden // 2, batch_first=True, bidirectional=True)
         self.posterior_encoder = _mlp(width + hidden, hidden, 2 * latent)
         self.proposer = _mlp(width, hidden, 2 * latent)
@@ -66,14 +70,14 @@ class LatentPlanHead(Head):
         )
 
     def loss(
-        self, features: Tensor, chunk: Tensor, mask: Tensor, generator: torch.Generator
+        self, features: Tensor, chunk: Tensor, mask: Tensor, generator: torch.Generator, updates: int | None = None
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """`proposed`: the error with the proposer's plan, which is what acting will see."""
+        """`proposed`: the error with the proposed plan, which is what the policy acts by."""
         config = self.config
-        seen, proposed = self._recognize(features, chunk, mask), _plans(self.proposer(features))
-        noise = draw_noise(seen.mean.shape, generator, seen.mean.device)
-        error = masked_mean((self._decode(features, seen.draw(noise)) - chunk).abs(), mask)
-        forward, back = _divergence(seen.detached(), proposed), _divergence(seen, proposed.detached())
+        recognized, proposed = self._recognize(features, chunk, mask), _plans(self.proposer(features))
+        noise = draw_noise(recognized.mean.shape, generator, recognized.mean.device)
+        error = masked_mean((self._decode(features, recognized.draw(noise)) - chunk).abs(), mask)
+        forward, back = _divergence(recognized.detached(), proposed), _divergence(recognized, proposed.detached())
         divergence = config.balance * forward.clamp(min=config.free) + (1 - config.balance) * back.clamp(
             min=config.free
         )
@@ -91,11 +95,10 @@ class LatentPlanHead(Head):
         return self._act(features, features.new_zeros(len(features), self.config.latent), guidance)
 
     def _act(self, features: Tensor, noise: Tensor, guidance: Guidance | None) -> Tensor:
-        chunk = self._decode(features, _plans(self.proposer(features)).draw(noise))
-        if guidance is None:
-            return chunk
-        other = self._decode(guidance.features, _plans(self.proposer(guidance.features)).draw(noise))
-        return guidance.combine(chunk, other)
+        def chunk(given: Tensor) -> Tensor:
+            return self._decode(given, _plans(self.proposer(given)).draw(noise))
+
+        return guided(chunk, features, guidance)
 
     def _recognize(self, features: Tensor, chunk: Tensor, mask: Tensor) -> _Plans:
         shown = torch.where(mask.unsqueeze(-1), chunk, 0.0)

@@ -1,4 +1,4 @@
-"""A mixture of Gaussians over whole chunks (Bishop, 1994): several answers, each with its weight and its std."""
+"""A mixture of Gaussians over whole chunks (Bishop, 1994): several modes, each with its weight and its std."""
 
 import math
 from dataclasses import dataclass
@@ -6,24 +6,31 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from playlearn.policies.heads.base import Generators, Guidance, Head, HeadConfig, draw_noise
+from playlearn.policies.heads.base import Generators, Head, HeadConfig, draw_noise
+from playlearn.policies.heads.guidance import Guidance, guided
 
 
 @HeadConfig.register_subclass("mog")
 @dataclass(frozen=True)
 class MixtureConfig(HeadConfig):
-    """components: K. hidden: units of its one hidden layer.
+    """A mixture of Gaussians over chunks.
 
-    std_range: least and greatest standard deviation, in those of the data. Scripted labels hardly scatter, and a
-    likelihood without a floor is won by being sure of what is sure anyway (that the gripper stays as it is)
-    and not by being right where it matters: a floor of 0.02 cost most of the goals. temperature: sharpens (< 1)
-    or flattens the weights, and scales the spreads, of what is sampled.
+    components: K.
+    hidden: units of the hidden layer.
+    std_range: least and greatest standard deviation, in those of the data. Without a minimum std the NLL is won by
+        near-constant dimensions (the gripper), not by informative ones, since scripted labels scatter little: a
+        minimum of 0.02 cost most of the goals.
+    temperature: of sampling: sharpens (< 1) or flattens the components' weights, and scales their std.
     """
 
     components: int = 5
     hidden: int = 256
     std_range: tuple[float, float] = (0.1, 2.0)
     temperature: float = 1.0
+
+    @property
+    def unimodal(self) -> bool:
+        return self.components == 1
 
     def build(self, width: int, chunk: int, actions: int) -> "MixtureHead":
         return MixtureHead(self, width, chunk, actions, Gaussian())
@@ -39,25 +46,25 @@ class Mixture:
 
 
 class ComponentDistribution(nn.Module):
-    """How a number scatters about a component's mean; mean and log_std (..., H, A)."""
+    """How a number is distributed about a component's mean; mean and log_std (..., H, A)."""
 
     def fit_action_statistics(self, chunks: Tensor) -> None:
         """As of `Head`."""
 
     def log_prob(self, shown: Tensor, mean: Tensor, log_std: Tensor) -> Tensor:
-        """(..., H, A) log density of each number, for a loss: nowhere minus infinity."""
+        """(..., H, A) log density of each number, for a loss: finite everywhere."""
         raise NotImplementedError
 
     def possible(self, shown: Tensor) -> Tensor:
-        """(..., H, A) bool, whether such a number can come at all."""
+        """(..., H, A) bool, whether the number has a density above 0."""
         return torch.ones_like(shown, dtype=torch.bool)
 
     def draw(self, mean: Tensor, std: Tensor, normal: Tensor) -> Tensor:
-        """Standard normal numbers as draws."""
+        """(B, H, A) draws, made of standard normal numbers."""
         raise NotImplementedError
 
     def nearest(self, numbers: Tensor) -> Tensor:
-        """The possible numbers that are nearest to these."""
+        """The nearest possible number to each."""
         return numbers
 
 
@@ -82,7 +89,7 @@ class MixtureHead(Head):
         self.law.fit_action_statistics(chunks)
 
     def loss(
-        self, features: Tensor, chunk: Tensor, mask: Tensor, generator: torch.Generator
+        self, features: Tensor, chunk: Tensor, mask: Tensor, generator: torch.Generator, updates: int | None = None
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """Negative log-likelihood in nats a number (each of the chunk's A numbers at each step)."""
         numbers = (mask.sum() * self.shape[-1]).clamp(min=1)
@@ -92,14 +99,14 @@ class MixtureHead(Head):
         return -self._log_prob(mixture, chunk, mask).sum() / numbers, {"components_used": used}
 
     def log_prob(self, features: Tensor, chunk: Tensor, mask: Tensor) -> Tensor:
-        """(B,) log density of the actions that `mask` (B, H) leaves, in normalized action space."""
-        never = (~self.law.possible(chunk)).any(-1) & mask  # (B, H)
-        return self._log_prob(self._mixture(features, None), chunk, mask).masked_fill(never.any(1), -torch.inf)
+        """(B,) log density of the actions whose `mask` (B, H) is True, in normalized action space."""
+        impossible = (~self.law.possible(chunk)).any(-1) & mask  # (B, H)
+        return self._log_prob(self._mixture(features, None), chunk, mask).masked_fill(impossible.any(1), -torch.inf)
 
     def sample(self, features: Tensor, generator: Generators, guidance: Guidance | None = None) -> Tensor:
         mixture, temperature = self._mixture(features, guidance), self.config.temperature
         gumbel = _gumbel(draw_noise(mixture.logits.shape, generator, features.device))
-        chosen = (mixture.logits / temperature + gumbel).argmax(-1)  # a draw from the weights
+        chosen = (mixture.logits / temperature + gumbel).argmax(-1)  # (B,), drawn by the weights
         noise = draw_noise((len(features), *self.shape[1:]), generator, features.device)
         return self.law.draw(_of(mixture.mean, chosen), temperature * _of(mixture.log_std, chosen).exp(), noise)
 
@@ -119,10 +126,7 @@ class MixtureHead(Head):
         return torch.where(mask.any(1), total, 0.0)
 
     def _mixture(self, features: Tensor, guidance: Guidance | None) -> Mixture:
-        parameters = self.net(features)
-        if guidance is not None:
-            parameters = guidance.combine(parameters, self.net(guidance.features))
-        logits, mean, std = parameters.split(self.sizes, dim=-1)
+        logits, mean, std = guided(self.net, features, guidance).split(self.sizes, dim=-1)
         low, high = (math.log(bound) for bound in self.config.std_range)
         log_std = low + (high - low) * torch.sigmoid(std + 1.0)
         return Mixture(logits, mean.unflatten(-1, self.shape), log_std.unflatten(-1, self.shape))
@@ -134,6 +138,6 @@ def _of(values: Tensor, chosen: Tensor) -> Tensor:
 
 
 def _gumbel(normal: Tensor) -> Tensor:
-    """Standard normal numbers as standard Gumbel ones, through their distribution functions."""
+    """Standard normal numbers -> standard Gumbel ones, through their distribution functions."""
     uniform = torch.special.ndtr(normal.double()).clamp(1e-12, 1 - 1e-12)
     return -torch.log(-torch.log(uniform)).to(normal.dtype)

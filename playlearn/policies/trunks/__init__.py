@@ -1,4 +1,4 @@
-"""Trunks: what makes features of the goal's and the history's tokens, one file a kind."""
+"""Trunks: sequence models from the tokens of goal and history to features, one file a kind."""
 
 from playlearn.policies.trunks.base import Trunk, TrunkConfig
 from playlearn.policies.trunks.lstm import LSTMConfig

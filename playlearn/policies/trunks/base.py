@@ -8,12 +8,15 @@ from torch import Tensor, nn
 
 @dataclass(frozen=True)
 class TrunkConfig(draccus.ChoiceRegistry):
-    """The base of every trunk's config; `type:` in a YAML picks the kind. width: D, of tokens and features."""
+    """The base of every trunk's config; `type:` in a YAML picks the kind.
+
+    width: D, of tokens and features.
+    """
 
     width: int = 256
 
     def build(self, tokens: int) -> "Trunk":
-        """tokens: N, the goal's and the whole history's."""
+        """tokens: N, those of the goal and of the whole history."""
         raise NotImplementedError
 
 

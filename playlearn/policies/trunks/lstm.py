@@ -1,4 +1,4 @@
-"""A recurrent network over goal and history tokens, as play was learned before Transformers (Lynch et al. 2019)."""
+"""An LSTM over goal and history tokens; play was first learned with recurrent networks (Lynch et al. 2019)."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,11 @@ from playlearn.policies.trunks.base import Trunk, TrunkConfig
 @TrunkConfig.register_subclass("lstm")
 @dataclass(frozen=True)
 class LSTMConfig(TrunkConfig):
-    """layers: recurrent layers of `width` units."""
+    """An LSTM.
+
+    width: D, of tokens and features.
+    layers: recurrent layers of `width` units.
+    """
 
     layers: int = 2
 
@@ -28,7 +32,7 @@ class LSTM(Trunk):
         if mask is None:
             last: Tensor = self.net(tokens)[0][:, -1]  # (B, D)
             return last
-        # What is padded goes to the end, where it comes too late to matter.
+        # Padding goes to the end, after the output that is read.
         order = (~mask).to(torch.int8).argsort(dim=1, stable=True)
         out = self.net(tokens.gather(1, order.unsqueeze(-1).expand_as(tokens)))[0]
         present: Tensor = out[torch.arange(len(out), device=out.device), mask.sum(1) - 1]

@@ -1,4 +1,4 @@
-"""Residual layers over the tokens laid end to end: what is quickest where the history is short."""
+"""Residual layers over the concatenated tokens: the quickest trunk where the history is short."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,12 @@ from playlearn.policies.trunks.base import Trunk, TrunkConfig
 @TrunkConfig.register_subclass("mlp")
 @dataclass(frozen=True)
 class MLPConfig(TrunkConfig):
-    """layers: residual layers of `hidden` units."""
+    """A residual MLP.
+
+    width: D, of tokens and features.
+    layers: residual layers.
+    hidden: units of each.
+    """
 
     layers: int = 2
     hidden: int = 512

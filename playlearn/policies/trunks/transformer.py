@@ -10,7 +10,13 @@ from playlearn.policies.trunks.base import Trunk, TrunkConfig
 @TrunkConfig.register_subclass("transformer")
 @dataclass(frozen=True)
 class TransformerConfig(TrunkConfig):
-    """layers, heads: as usual. expansion: width of a feed-forward layer over `width`."""
+    """A causal Transformer.
+
+    width: D, of tokens and features.
+    layers: Transformer blocks.
+    heads: attention heads of each.
+    expansion: units of a feed-forward layer over `width`.
+    """
 
     layers: int = 3
     heads: int = 4
@@ -23,12 +29,12 @@ class TransformerConfig(TrunkConfig):
 class Transformer(Trunk):
     """The Llama blocks of `transformers` (rotary positions, RMS norm, gated feed-forward), without dropout.
 
-    Of the causal models there it is the quickest on a CPU at a handful of tokens.
+    Of the causal models of `transformers` it is the quickest on a CPU at a handful of tokens.
     """
 
     def __init__(self, config: TransformerConfig, tokens: int) -> None:
         super().__init__()
-        # transformers takes seconds to import: only who builds this trunk pays
+        # transformers takes seconds to import: only this trunk pays
         from transformers.models.llama.configuration_llama import LlamaConfig
         from transformers.models.llama.modeling_llama import LlamaModel
 
