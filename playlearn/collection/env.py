@@ -3,12 +3,11 @@
 import functools
 import json
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from playlearn.collection.config import CollectConfig
-from playlearn.config import atomic_write, from_dict, git_revision, save_config, to_dict, versions
+from playlearn.config import RunFolder, atomic_write, from_dict, git_revision, save_config, to_dict, versions
 from playlearn.errors import StoreError, UsageError
 from playlearn.sim import Environment, EnvironmentConfig
 from playlearn.store import NativeStore, StoreSpec
@@ -66,17 +65,16 @@ def begin(config: CollectConfig, environment: Environment, out: Path, *, resume:
 
 
 def _check_same(config: CollectConfig, out: Path) -> None:
-    path = out / NOTE
-    if not path.exists():
-        raise UsageError(f"{out} was not made by `playlearn collect` (it has no {NOTE}): give another --out")
+    folder = RunFolder(out, NOTE, "store made by `playlearn collect`")
+    folder.begun()
     try:
-        note = json.loads(path.read_text())
+        note = json.loads(folder.file.read_text())
         before, packages = from_dict(CollectConfig, note["config"]).settings(), dict(note["versions"])
     except (OSError, ValueError, KeyError, TypeError, UsageError) as error:
-        raise StoreError(f"{path} cannot be read ({error}): put it back as it was, or give another --out") from error
-    changed = _changed(before, config.settings())
-    if changed:
-        raise UsageError(f"{out} was collected with another {', '.join(changed)}: give the same, or another --out")
+        raise StoreError(
+            f"{folder.file} cannot be read ({error}): put it back as it was, or give another --out"
+        ) from error
+    folder.check_same(before, config.settings())
     newer = {name: new for name, new in versions().items() if packages.get(name, new) != new}
     for name, new in newer.items():
         print(
@@ -84,18 +82,6 @@ def _check_same(config: CollectConfig, out: Path) -> None:
             "new episodes may differ from those of an unbroken run",
             file=sys.stderr,
         )
-
-
-def _changed(before: Mapping[str, Any], now: Mapping[str, Any], prefix: str = "") -> list[str]:
-    """The dotted names of what differs."""
-    names: list[str] = []
-    for key in sorted(before.keys() | now.keys()):
-        old, new = before.get(key), now.get(key)
-        if isinstance(old, dict) and isinstance(new, dict):
-            names += _changed(old, new, f"{prefix}{key}.")
-        elif old != new:
-            names.append(prefix + key)
-    return names
 
 
 @functools.cache

@@ -7,9 +7,11 @@ picked by `type:`. What a file leaves out keeps the default that the enclosing c
 
 from playlearn.config.load import from_dict, load_config, save_config, to_dict
 from playlearn.config.record import atomic_write, git_revision, sync_folder, versions
+from playlearn.config.run_folder import RunFolder
 from playlearn.config.schema import nearest
 
 __all__ = [
+    "RunFolder",
     "atomic_write",
     "from_dict",
     "git_revision",

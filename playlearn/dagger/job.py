@@ -18,11 +18,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from playlearn.collection import CollectConfig
 from playlearn.collection.env import env
-from playlearn.config import atomic_write, git_revision, load_config, save_config, to_dict, versions
+from playlearn.config import RunFolder, atomic_write, git_revision, load_config, save_config, to_dict, versions
 from playlearn.dagger.actor import InterventionRule
 from playlearn.dagger.baselines import play_on, player
 from playlearn.dagger.config import ADJUSTABLE, DaggerConfig
@@ -309,23 +307,14 @@ def _frames(config: DaggerConfig) -> list[int] | None:
 
 def _claim(config: DaggerConfig, run: Path, out: Path, *, resume: bool) -> None:
     """Make `out` this job's; raises UsageError where it is something else's."""
-    written = out / CONFIG
-    if written.is_file():
-        if not resume:
-            raise UsageError(f"{out} is there already: choose another --out, or go on with it by --resume")
-        before, now = yaml.safe_load(written.read_text()), to_dict(config)
-        apart = [name for name in now if name not in ADJUSTABLE and before.get(name) != now[name]]
-        if _read(out / NOTE)["run"] != str(run):
-            apart.append("run")
-        if apart:
-            raise UsageError(f"{out} was begun with another {', '.join(apart)}: give the same, or another --out")
-    elif out.exists() and (not out.is_dir() or any(path.name != NOTE for path in out.iterdir())):
-        raise UsageError(f"{out} is there already and is no DAgger run: choose another --out")
-    elif resume:
-        raise UsageError(f"there is no DAgger run at {out} to resume; start it without --resume")
+    folder = RunFolder(out, CONFIG, "DAgger run", adjustable=ADJUSTABLE, leftovers=(NOTE,))
+    note = {"run": str(run)}
+    if folder.begun(resume=resume):
+        before = to_dict(load_config(DaggerConfig, folder.file))
+        folder.check_same({**before, **_read(out / NOTE)}, {**to_dict(config), **note})
     out.mkdir(parents=True, exist_ok=True)
-    atomic_write(out / NOTE, json.dumps({"run": str(run)}).encode())
-    save_config(config, written)
+    atomic_write(out / NOTE, json.dumps(note).encode())
+    save_config(config, folder.file)
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -18,12 +18,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from playlearn.config import atomic_write, git_revision, load_config, to_dict, versions
+from playlearn.config import RunFolder, atomic_write, git_revision, load_config, to_dict, versions
 from playlearn.demo.commands import Done, run_together
 from playlearn.demo.config import Cost, DemoConfig
 from playlearn.demo.reference import Reference, measure
 from playlearn.demo.verdict import judge_success, judge_training
-from playlearn.errors import PlaylearnError, UsageError
+from playlearn.errors import PlaylearnError
 from playlearn.evaluation import join_runs
 from playlearn.executor import available_cores
 from playlearn.training import TrainConfig
@@ -69,17 +69,11 @@ class _Demo:
 
     def claim(self) -> None:
         """Find what is done; raises UsageError where `out` was begun with another config."""
-        path, given = self.out / RECORD, {**json.loads(json.dumps(to_dict(self.config))), "steps": self.steps}
-        if path.is_file():
-            self.record = json.loads(path.read_text())
-            apart = [name for name in given if self.record["config"].get(name) != given[name]]
-            if apart:
-                raise UsageError(
-                    f"{self.out} was begun with another {', '.join(apart)}: give the same, or another --out"
-                )
+        folder, given = RunFolder(self.out, RECORD, "demo"), {**to_dict(self.config), "steps": self.steps}
+        if folder.begun():
+            self.record = json.loads(folder.file.read_text())
+            folder.check_same(self.record["config"], given)
             return
-        if self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
-            raise UsageError(f"{self.out} is there already and is no demo: choose another --out")
         self.out.mkdir(parents=True, exist_ok=True)
         self.record = {"config": given, "versions": versions(), "git_revision": git_revision(), "stages": {}}
         self.write()  # from now on this is a demo's folder, wherever it is interrupted

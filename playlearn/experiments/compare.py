@@ -15,9 +15,8 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-import yaml
 
-from playlearn.config import atomic_write, git_revision, load_config, save_config, to_dict, versions
+from playlearn.config import RunFolder, atomic_write, git_revision, load_config, save_config, to_dict, versions
 from playlearn.errors import NotLearnedError, PlaylearnError, UsageError
 from playlearn.evaluation import evaluate
 from playlearn.executor import Job, LocalExecutorConfig
@@ -112,20 +111,12 @@ def compare(config: CompareConfig, out: Path, workers: int | None = None) -> lis
 
 
 def _claim(config: CompareConfig, out: Path) -> None:
-    written = out / "compare.yaml"
-    if not written.is_file():
-        if out.exists() and any(out.iterdir()):
-            raise UsageError(f"{out} is there already and holds no comparison: choose another --out")
-        out.mkdir(parents=True, exist_ok=True)
-    else:
-        before, now = yaml.safe_load(written.read_text()), to_dict(config)
-        # a variant or a seed may be added or left out, what is there already stays as it is
-        apart = [name for name in now if name not in ("variants", "seeds") and before.get(name) != now[name]]
-        shared = before["variants"].keys() & now["variants"].keys()
-        apart += [f"variants.{name}" for name in shared if before["variants"][name] != now["variants"][name]]
-        if apart:
-            raise UsageError(f"{out} compared with another {', '.join(sorted(apart))}: choose another --out")
-    save_config(config, written)
+    # A variant or a seed may be added or left out; the runs that are there stay.
+    folder = RunFolder(out, "compare.yaml", "comparison", adjustable=("seeds",), entries=("variants",))
+    if folder.begun():
+        folder.check_same(to_dict(load_config(CompareConfig, folder.file)), to_dict(config))
+    out.mkdir(parents=True, exist_ok=True)
+    save_config(config, folder.file)
 
 
 def _folder(out: Path, name: str, seed: int) -> Path:

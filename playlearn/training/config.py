@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from playlearn.config import load_config, to_dict
+from playlearn.config import RunFolder, load_config, to_dict
 from playlearn.corrections import CorrectionsConfig
 from playlearn.data import DataConfig
 from playlearn.data.mixture import DatasetSource
@@ -130,20 +130,9 @@ class TrainConfig:
 
 def check_out(config: TrainConfig, out: Path, *, resume: bool) -> None:
     """Raises UsageError where `out` is taken or, with resume, holds no run of this config."""
-    if not resume:
-        if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise UsageError(f"{out} is there already: choose another --out, or go on with it by --resume")
-        return
-    if not (out / "config.yaml").is_file():
-        raise UsageError(f"there is no run at {out} to resume; start it without --resume")
-    before, now = to_dict(load_config(TrainConfig, out / "config.yaml")), to_dict(config)
-    changed = sorted(
-        name
-        for name in flattened(before).keys() | flattened(now).keys()
-        if flattened(before).get(name) != flattened(now).get(name) and name not in ADJUSTABLE
-    )
-    if changed:
-        raise UsageError(f"{out} was trained with another {', '.join(changed)}: give the same config, or another --out")
+    folder = RunFolder(out, "config.yaml", "training run", adjustable=ADJUSTABLE)
+    if folder.begun(resume=resume):
+        folder.check_same(to_dict(load_config(TrainConfig, folder.file)), to_dict(config))
 
 
 def stored_threads(config: TrainConfig, out: Path, *, resume: bool) -> int:

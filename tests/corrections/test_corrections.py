@@ -142,7 +142,7 @@ def test_an_interrupted_making_goes_on_and_gives_the_same(store: NativeStore, fo
 
 def test_another_making_needs_another_folder(store: NativeStore, folder: Path) -> None:
     other = dataclasses.replace(CONFIG, displacement=0.01)
-    with pytest.raises(UsageError, match=r"another displacement: name another corrections\.folder"):
+    with pytest.raises(UsageError, match=r"another displacement: give the same, or name another corrections\.folder"):
         make_corrections(other, store, np.arange(len(store)), ("wrist",), folder, workers=0)
 
 

@@ -213,7 +213,7 @@ def test_another_config_or_a_strange_folder_is_refused(run: Callable[..., Any], 
     assert "begun with another steps" in said[-1]
     (tmp_path / "strange").mkdir()
     (tmp_path / "strange" / "x").touch()
-    with pytest.raises(UsageError, match="is no demo"):
+    with pytest.raises(UsageError, match="holds no demo"):
         demo(DemoConfig(), tmp_path / "strange", say=lambda _: None)
 
 

@@ -88,7 +88,7 @@ def test_only_episodes_that_are_missing_are_looked_at_again(folder: Path, tmp_pa
     assert second.read_bytes() == b"untouched"
     second.write_bytes(before)
     assert read(tmp_path, numbers[0])["t"].size
-    with pytest.raises(UsageError, match=r"another every: name another perceived\.folder"):
+    with pytest.raises(UsageError, match=r"another every: give the same, or name another perceived\.folder"):
         make_perceived(dataclasses.replace(config_, every=5), store, tmp_path, workers=0)
 
 

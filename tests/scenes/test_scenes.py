@@ -65,7 +65,7 @@ def test_an_interrupted_drawing_goes_on_and_other_settings_are_refused(store: Na
     first.unlink()
     drawn(store, tmp_path / "drawn", [0])
     assert {path.name: path.read_bytes() for path in (tmp_path / "drawn" / "episodes").iterdir()} == whole
-    with pytest.raises(UsageError, match="holds scenes of another rearranged"):
+    with pytest.raises(UsageError, match="begun with another rearranged"):
         drawn(store, tmp_path / "drawn", [0], rearranged=0.1)
 
 

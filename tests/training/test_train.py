@@ -292,12 +292,12 @@ def test_time_left_counts_evaluations_and_checkpoints(step: int, minutes: float 
 
 def test_a_run_folder_is_never_overwritten(play: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
-    with pytest.raises(UsageError, match=r"no run at .* to resume"):
+    with pytest.raises(UsageError, match=r"no training run at .* to resume"):
         train(config(play), out, resume=True)
     train(config(play, steps=1), out)
     with pytest.raises(UsageError, match=r"is there already.*--resume"):
         train(config(play), out)
-    with pytest.raises(UsageError, match="another lr, seed: give the same config"):
+    with pytest.raises(UsageError, match="another lr, seed: give the same"):
         train(config(play, lr=0.1, seed=3), out, resume=True)
     train(config(play, steps=2), out, resume=True)  # more of the same is no other run
     assert metrics(out)[-1]["step"] == 2
