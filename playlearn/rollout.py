@@ -136,7 +136,7 @@ class _Take:
         skills = tuple(sorted({decision.skill for decision in self.decisions}))
         sizes = {camera: self.observations[0].images[camera].shape[:2] for camera in self.cameras}
         meta = EpisodeMeta(
-            environment={"type": config.get_choice_name(type(config)), **to_dict(config)},
+            environment=to_dict(config),
             state_names=tuple(spec.state_names),
             achieved_names=tuple(spec.achieved_names),
             action_names=tuple(spec.action_names),

@@ -14,12 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from playlearn.collection.config import CollectConfig, episode_seed
-from playlearn.collection.env import RESOLVED, begin, env, forget_envs
+from playlearn.collection.store import RESOLVED, begin
 from playlearn.config import from_dict
 from playlearn.episode import Episode
 from playlearn.errors import PlaylearnError, RenderError, StoreError, UsageError
 from playlearn.executor import Job, LocalExecutorConfig, LostError, Result
 from playlearn.oracles import play_policy_for
+from playlearn.process_cache import cached_env, forget_envs
 from playlearn.report.progress import Progress
 from playlearn.rollout import rollout
 from playlearn.store import write_episode
@@ -41,7 +42,7 @@ def collect(config: CollectConfig, out: Path, *, workers: int | None = None, res
         StoreError: `out` holds something already and `resume` was not asked for; the disk is full.
         PlaylearnError: episodes that failed, with the command that plays each again alone.
     """
-    environment = env(config.environment)
+    environment = cached_env(config.environment)
     play_policy_for(environment, config.play)  # a kind of skill that nobody offers is said now, not in a worker
     store = begin(config, environment, out, resume=resume)
     with store.writer():
@@ -80,7 +81,7 @@ def play(config: CollectConfig, index: int) -> Episode:
     Raises:
         PlaylearnError: the world failed before the first action.
     """
-    environment = env(config.environment)
+    environment = cached_env(config.environment)
     seed = episode_seed(config.seed, index)
     environment.reset(seed)
     player = play_policy_for(environment, config.play)
@@ -99,7 +100,7 @@ def collect_one(config: CollectConfig, out: Path, index: int) -> None:
     Raises:
         PlaylearnError: played again it is not the episode that the store holds.
     """
-    store = begin(config, env(config.environment), out, resume=(out / "store.json").exists())
+    store = begin(config, cached_env(config.environment), out, resume=(out / "store.json").exists())
     with store.writer() as writer:
         with _tracebacks(config.limit()):
             episode = play(config, index)

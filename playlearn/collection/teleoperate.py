@@ -4,8 +4,9 @@ import sys
 from pathlib import Path
 
 from playlearn.collection.config import CollectConfig, episode_seed
-from playlearn.collection.env import begin, env
+from playlearn.collection.store import begin
 from playlearn.errors import PlaylearnError
+from playlearn.process_cache import cached_env
 from playlearn.rollout import rollout
 from playlearn.sim import Environment
 from playlearn.teleop.device import DeviceActor, Wish, open_device
@@ -25,7 +26,7 @@ def collect_by_hand(
     """
     from playlearn.teleop.window import Window
 
-    environment = env(config.environment)
+    environment = cached_env(config.environment)
     height, width, _ = environment.render(environment.spec.cameras[0]).shape
     size = (HEIGHT, round(HEIGHT * width / height))
     with Window(f"playlearn: {out}", *size) as screen:

@@ -1,26 +1,20 @@
 """Make displaced moments of a store's episodes, on all cores; an interrupted making goes on where it stopped."""
 
-import functools
-import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-import playlearn.envs  # noqa: F401 - registers the worlds
-from playlearn.config import from_dict
 from playlearn.corrections.config import CorrectionsConfig
 from playlearn.corrections.response import hand_response
 from playlearn.corrections.rollback import CorrectableEnv, way_back
 from playlearn.episode import IMAGES, Array
+from playlearn.episode_jobs import missing, run_jobs
 from playlearn.errors import UsageError
-from playlearn.executor import Job, LocalExecutorConfig
-from playlearn.report.progress import Progress
-from playlearn.sim import EnvironmentConfig
-from playlearn.sim.ik import HandDisplacement
-from playlearn.store import Store, episode_path, open_store
+from playlearn.executor import Job
+from playlearn.process_cache import cached_env_of, cached_note, cached_store
+from playlearn.store import Store, episode_path
 from playlearn.store.folder import claim
 from playlearn.store.tensors import write_tensors
 
@@ -54,31 +48,20 @@ def make_corrections(
         **{name: getattr(config, name) for name in ("displacement", "turn", "per_episode", "steps", "seed")},
     }
     claim(folder, NOTE, note, "corrections")
-    numbers = store.indices()[episodes]
     jobs = [
         Job(
             key=int(number), function=correct, kwargs={"source": store.name(), "out": str(folder), "index": int(number)}
         )
-        for number in numbers
-        if not episode_path(folder, int(number)).exists()
+        for number in store.indices()[episodes]
     ]
-    if not jobs:
-        return
-    with (
-        LocalExecutorConfig(workers=workers).build() as executor,
-        Progress(
-            f"corrections {folder}", len(numbers), "episode", len(numbers) - len(jobs), executor.workers
-        ) as progress,
-    ):
-        for count, result in enumerate(executor.run(jobs), len(numbers) - len(jobs) + 1):
-            progress.to(count, seconds=result.seconds)
+    run_jobs(f"corrections {folder}", missing(jobs, folder), len(jobs), workers)
 
 
 def correct(source: str, out: str, index: int) -> None:
     """Displaced moments of the episode that was recorded under `index`: what a worker does."""
-    store, note = _store(source), _load_note(out)
+    store, note = cached_store(source), cached_note(str(Path(out) / NOTE))
     position = int(np.searchsorted(store.indices(), index))
-    env = _env(json.dumps(dict(store.spec.environment)))
+    env = _environment(store)
     states, labels = store.array(position, "sim.state"), store.array(position, "expert_action")
     sizes, steps = note["cameras"], int(note["steps"])
     response, rng = np.asarray(note["response"]), np.random.default_rng((int(note["seed"]), index))
@@ -132,20 +115,10 @@ def _within_ball(radius: float, rng: np.random.Generator) -> Array:
     return direction / np.linalg.norm(direction) * radius * rng.random()
 
 
-@functools.cache
-def _store(path: str) -> Store:
-    return open_store(path)
-
-
-@functools.cache
-def _load_note(folder: str) -> dict[str, Any]:
-    note: dict[str, Any] = json.loads((Path(folder) / NOTE).read_text())
-    return note
-
-
-@functools.cache
-def _env(environment: str) -> CorrectableEnv:
-    env = from_dict(EnvironmentConfig, json.loads(environment)).build()
-    if not isinstance(env, HandDisplacement):
-        raise UsageError("corrections: this world has no arm to displace (`displace` and `touching`); leave them out")
-    return cast(CorrectableEnv, env)
+def _environment(store: Store) -> CorrectableEnv:
+    env = cached_env_of(store)
+    if not isinstance(env, CorrectableEnv):
+        raise UsageError(
+            "corrections: this environment cannot displace an arm (`displace`, `touching`); leave them out"
+        )
+    return env

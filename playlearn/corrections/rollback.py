@@ -1,7 +1,7 @@
 """The way back: from where the hand was put, to where the recorded labels would have led it, stepped for real."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -9,15 +9,27 @@ from playlearn.corrections.response import offset, undoing
 from playlearn.episode import Array
 from playlearn.errors import SimulationDiverged
 from playlearn.sim import Environment
-from playlearn.sim.ik import HandDisplacement
 
 _LEFT = 0.5  # of a displacement, at most, when the way back is over
 _NEAR = (2e-3, 2e-2)  # meters and radians that count as back, however small the displacement was
 _MOVED = 1e-3  # of what goals speak of: something was knocked
 
 
-class CorrectableEnv(Environment, HandDisplacement, Protocol):
-    """What is asked of a world here."""
+@runtime_checkable
+class CorrectableEnv(Environment, Protocol):
+    """An environment whose end effector can be displaced."""
+
+    def displace(self, shift: Array, turn: Array) -> bool:
+        """Move the end effector by `shift` (3,) m and the rotation vector `turn` (3,) rad, both in the world's frame.
+
+        Only the arm's joints change; velocities stay. Returns whether it is there and touches nothing; if not, the
+        environment is unusable until `set_state`.
+        """
+        ...
+
+    def touching(self) -> bool:
+        """Whether any part of the robot touches something that is not the robot."""
+        ...
 
 
 def way_back(

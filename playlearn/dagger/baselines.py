@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from playlearn.collection import CollectConfig, collect
-from playlearn.collection.env import RESOLVED
+from playlearn.collection.store import RESOLVED
 from playlearn.config import load_config
 from playlearn.dagger.config import DaggerConfig
 from playlearn.errors import UsageError

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 from playlearn.collection import CollectConfig
-from playlearn.collection.env import env
 from playlearn.config import RunFolder, atomic_write, git_revision, load_config, save_config, to_dict, versions
 from playlearn.dagger.actor import InterventionRule
 from playlearn.dagger.baselines import play_on, player
@@ -33,6 +32,7 @@ from playlearn.evaluation import TrainedRecipe, evaluate, load_suite, scripted
 from playlearn.evaluation.suite import derived_seed, goal_from
 from playlearn.perceived import PerceivedConfig
 from playlearn.policies import Policy
+from playlearn.process_cache import cached_env
 from playlearn.store import open_store
 from playlearn.training import TrainConfig, train
 
@@ -105,9 +105,9 @@ class _Job:
         open_store(self.training.store)
         policy = self.trained(self.run)
         policy.check()
-        environment = env(self.suite.environment)
+        environment = cached_env(self.suite.environment)
         actor = dagger_actor(self.rollout_spec(1, self.run), environment)
-        policy.build(env(self.judging.environment))
+        policy.build(cached_env(self.judging.environment))
         self.expert(environment)  # where nobody can drive this world, that is said here
         if self.matched is not None:
             self.playing()

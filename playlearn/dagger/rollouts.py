@@ -5,17 +5,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from playlearn.collection.env import env, kind
+from playlearn.collection.store import store_spec
 from playlearn.config import atomic_write
 from playlearn.dagger.actor import DaggerActor, InterventionRule
 from playlearn.episode import Observation
 from playlearn.errors import PlaylearnError, UsageError
 from playlearn.evaluation import EvalEpisode, SuiteConfig, TrainedRecipe
 from playlearn.executor import Job, LocalExecutorConfig
+from playlearn.process_cache import cached_env, cached_envs
 from playlearn.report.progress import Progress
 from playlearn.rollout import STOPPED, Actor, Outcome, rollout
 from playlearn.sim import Environment
-from playlearn.store import NativeStore, StoreSpec, write_episode
+from playlearn.store import NativeStore, write_episode
 
 Make = Callable[[Environment], Actor]
 
@@ -90,11 +91,12 @@ def collect_rollouts(
 
 def attempt(spec: RolloutSpec, numbers: Sequence[int], store: Path, note: Path) -> int:
     """Try a few episodes together, put what is kept into the store, then write down how each went. Returns how many."""
-    first = env(spec.suite.environment)
+    envs = cached_envs(spec.suite.environment, len(numbers))
+    first = envs[0]
     expert = spec.expert(first)
     actor = dagger_actor(spec, first)
     setups, records = _setups(spec, numbers, first, expert)
-    envs = [first, *(first.clone() for _ in setups[1:])][: len(setups)]
+    envs = envs[: len(setups)]
     for one, setup in zip(envs, setups, strict=True):
         one.set_state(setup.start)
     there = [0] * len(setups)
@@ -137,20 +139,7 @@ def make_store(suite: SuiteConfig, cameras: Sequence[str], path: Path) -> None:
     """An empty store for episodes of a suite's world as seen through these cameras, where there is none yet."""
     if (path / "store.json").exists():
         return
-    environment = env(suite.environment)
-    seen = environment.observe(tuple(cameras)).images
-    spec = environment.spec
-    NativeStore.create(
-        path,
-        StoreSpec(
-            environment=kind(suite.environment),
-            state_names=spec.state_names,
-            achieved_names=spec.achieved_names,
-            action_names=spec.action_names,
-            fps=spec.fps,
-            cameras={name: (int(image.shape[0]), int(image.shape[1])) for name, image in seen.items()},
-        ),
-    )
+    NativeStore.create(path, store_spec(cached_env(suite.environment), cameras))
 
 
 def _setups(

@@ -1,21 +1,19 @@
 """What one worker does: set a few episodes up, let every contender attempt them, judge each step."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
 
-from playlearn.config import from_dict, to_dict
 from playlearn.episode import Array, Observation
 from playlearn.errors import RenderError
 from playlearn.evaluation.actor_recipes import ActorRecipe, ExpertRecipe
 from playlearn.evaluation.suite import EvalEpisode, SuiteConfig, derived_seed
+from playlearn.process_cache import cached_env, cached_envs
 from playlearn.report.pictures import Pictures, draw
 from playlearn.rollout import LENGTH, STOPPED, Actor, Outcome, rollout
-from playlearn.sim.environment import Environment, EnvironmentConfig, EnvironmentSpec
+from playlearn.sim.environment import Environment, EnvironmentSpec
 
 LOST = "(worker lost)"
 
@@ -87,7 +85,7 @@ def run_batch(
 
     What goes wrong in a contender's attempts counts as its failure; what goes wrong before is raised.
     """
-    envs = _envs(_key(suite.environment), suite.num_envs)[: len(episodes)]
+    envs = cached_envs(suite.environment, len(episodes))
     actors = [contender.build(envs[0]) for contender in contenders]
     cameras = tuple(dict.fromkeys(camera for contender in contenders for camera in contender.cameras()))
     setups = [
@@ -233,20 +231,9 @@ def _renderer(env: Environment) -> str:
         return "none"
 
 
-def _key(config: EnvironmentConfig) -> str:
-    return json.dumps({"type": config.get_choice_name(type(config)), **to_dict(config)}, sort_keys=True)
-
-
-@cache
-def _envs(key: str, count: int) -> list[Environment]:
-    """The worlds of this process: dear to build, so they are built once."""
-    first = from_dict(EnvironmentConfig, json.loads(key)).build()
-    return [first, *(first.clone() for _ in range(count - 1))]
-
-
 def env_of(suite: SuiteConfig) -> Environment:
-    """The first of this process's worlds; in any state."""
-    return _envs(_key(suite.environment), suite.num_envs)[0]
+    """The first of this process's environments; in any state."""
+    return cached_env(suite.environment)
 
 
 def draw_trajectory(suite: SuiteConfig, trajectory: Trajectory, film: bool) -> Pictures:

@@ -1,24 +1,21 @@
 """Draw scenes of a store's episodes, on all cores; an interrupted drawing goes on where it stopped."""
 
-import functools
-import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-import playlearn.envs  # noqa: F401 - registers the environments
-from playlearn.config import from_dict
 from playlearn.episode import IMAGES, Array
+from playlearn.episode_jobs import missing, run_jobs
 from playlearn.errors import UsageError
-from playlearn.executor import Job, LocalExecutorConfig
+from playlearn.executor import Job
 from playlearn.policies.inputs import placed_objects
-from playlearn.report.progress import Progress
+from playlearn.process_cache import cached_env_of, cached_note, cached_store
 from playlearn.scenes.config import ScenesConfig
-from playlearn.sim import Environment, EnvironmentConfig
-from playlearn.store import Store, episode_path, open_store
+from playlearn.sim import Environment
+from playlearn.store import Store, episode_path
 from playlearn.store.folder import claim
 from playlearn.store.tensors import write_tensors
 
@@ -74,16 +71,8 @@ def draw_scenes(
             },
         )
         for number, out in zip(store.indices(), val_mask, strict=True)
-        if not episode_path(folder, int(number)).exists()
     ]
-    if not jobs:
-        return
-    with (
-        LocalExecutorConfig(workers=workers).build() as executor,
-        Progress(f"scenes {folder}", len(store), "episode", len(store) - len(jobs), executor.workers) as progress,
-    ):
-        for count, result in enumerate(executor.run(jobs), len(store) - len(jobs) + 1):
-            progress.to(count, seconds=result.seconds)
+    run_jobs(f"scenes {folder}", missing(jobs, folder), len(jobs), workers)
 
 
 def scene_sizes(store: Store, cameras: Sequence[str]) -> dict[str, tuple[int, int]]:
@@ -92,7 +81,7 @@ def scene_sizes(store: Store, cameras: Sequence[str]) -> dict[str, tuple[int, in
     Raises:
         UsageError: it has no such camera, or its scenes cannot be drawn.
     """
-    environment = _environment(json.dumps(dict(store.spec.environment)))
+    environment = _environment(store)
     unknown = [camera for camera in cameras if camera not in environment.spec.cameras]
     if unknown:
         raise UsageError(f"scenes: there is no camera {unknown[0]!r}; there is {', '.join(environment.spec.cameras)}")
@@ -102,8 +91,8 @@ def scene_sizes(store: Store, cameras: Sequence[str]) -> dict[str, tuple[int, in
 
 def draw(source: str, out: str, index: int, rearranged: float) -> None:
     """Scenes of the episode that was recorded under `index`: what a worker does."""
-    store, note = _store(source), _note(out)
-    environment = _environment(json.dumps(dict(store.spec.environment)))
+    store, note = cached_store(source), cached_note(str(Path(out) / NOTE))
+    environment = _environment(store)
     states = store.array(int(np.searchsorted(store.indices(), index)), "sim.state")
     rng = np.random.default_rng((int(note["seed"]), index))
     cameras, objects = tuple(note["sizes"]), placed_objects(environment.spec.achieved_names).values()
@@ -124,21 +113,8 @@ def draw(source: str, out: str, index: int, rearranged: float) -> None:
     )
 
 
-@functools.cache
-def _store(path: str) -> Store:
-    return open_store(path)
-
-
-@functools.cache
-def _note(folder: str) -> dict[str, Any]:
-    note: dict[str, Any] = json.loads((Path(folder) / NOTE).read_text())
-    return note
-
-
-@functools.cache
-def _environment(config: str) -> SceneEnvironment:
-    environment = from_dict(EnvironmentConfig, json.loads(config)).build()
-    environment.reset(0)
+def _environment(store: Store) -> SceneEnvironment:
+    environment = cached_env_of(store)
     if not isinstance(environment, SceneEnvironment):
         raise UsageError(
             "scenes: this environment cannot place its objects anew (`rearrange`, `project`); leave them out"

@@ -6,7 +6,6 @@ with e (6,) what the hand's position and orientation still lack and J (6, n) the
 """
 
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
 
 import mujoco
 import numpy as np
@@ -18,23 +17,6 @@ _ROUNDS = 30
 _WITHIN = (5e-4, 2e-3)  # meters and radians that the hand may be off where it was wanted
 
 
-@runtime_checkable
-class HandDisplacement(Protocol):
-    """A world whose hand can be put aside."""
-
-    def displace(self, shift: Array, turn: Array) -> bool:
-        """Move the hand by `shift` (3,) m and the rotation vector `turn` (3,) rad, both in the world's frame.
-
-        Only the arm's joints change; velocities stay. Returns whether it is there, and touches nothing; where it
-        does not, the world is unusable until `set_state`.
-        """
-        ...
-
-    def touching(self) -> bool:
-        """Whether any part of the robot touches something that is not the robot."""
-        ...
-
-
 def displace(
     model: mujoco.MjModel,
     data: mujoco.MjData,
@@ -44,7 +26,7 @@ def displace(
     shift: Array,
     turn: Array,
 ) -> bool:
-    """See `HandDisplacement.displace`. qpos, qvel: (n,) indices of the arm's hinges."""
+    """See `RobosuiteEnv.displace`. qpos, qvel: (n,) indices of the arm's hinges."""
     mujoco.mj_kinematics(model, data)
     place = data.site_xpos[site] + shift
     facing: Array = _rotation(turn) @ data.site_xmat[site].reshape(3, 3)

@@ -28,7 +28,7 @@ from tests.synthetic import make_episode
 
 PACKAGE = Path(playlearn.__file__).parent
 COMMIT = ("store/native.py", "store/tensors.py", "store/folder.py", "config/record.py")
-COLLECT = ("store/native.py", "store/folder.py", "collection/job.py", "collection/env.py")
+COLLECT = ("store/native.py", "store/folder.py", "collection/job.py", "collection/store.py")
 
 tqdm.monitor_interval = 0  # no thread of its own: one that forks should have none
 

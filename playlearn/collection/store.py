@@ -1,34 +1,18 @@
-"""One world for each process, built when it is first needed, and the store that its episodes go into."""
+"""The store that a collection goes into."""
 
-import functools
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from playlearn.collection.config import CollectConfig
 from playlearn.config import RunFolder, atomic_write, from_dict, git_revision, save_config, to_dict, versions
 from playlearn.errors import StoreError, UsageError
-from playlearn.sim import Environment, EnvironmentConfig
+from playlearn.sim import Environment
 from playlearn.store import NativeStore, StoreSpec
 
 NOTE = "collect.json"  # what decided the episodes, beside store.json
 RESOLVED = "collect.yaml"  # the whole config, for another `playlearn collect --config`
-
-
-def env(config: EnvironmentConfig) -> Environment:
-    """The environment of that kind that this process has, in whatever state it was left."""
-    return _env(json.dumps(kind(config)))
-
-
-def forget_envs() -> None:
-    """Build anew what is asked for next: the one there is may have been left in the middle of something."""
-    _env.cache_clear()
-
-
-def kind(config: EnvironmentConfig) -> dict[str, Any]:
-    """The config as JSON, with its `type`."""
-    return {"type": config.get_choice_name(type(config)), **to_dict(config)}
 
 
 def begin(config: CollectConfig, environment: Environment, out: Path, *, resume: bool) -> NativeStore:
@@ -46,22 +30,26 @@ def begin(config: CollectConfig, environment: Environment, out: Path, *, resume:
     if resume and (out / "store.json").exists():
         _check_same(config, out)
         return NativeStore.open(out)
-    seen = environment.observe(config.cameras).images
-    spec = StoreSpec(
-        environment=kind(config.environment),
-        state_names=environment.spec.state_names,
-        achieved_names=environment.spec.achieved_names,
-        action_names=environment.spec.action_names,
-        fps=environment.spec.fps,
-        cameras={name: (int(image.shape[0]), int(image.shape[1])) for name, image in seen.items()},
-    )
     note = {"config": config.settings(), "versions": versions(), "git_revision": git_revision()}
     text = json.dumps(note, indent=2).encode()
     notes = {
         NOTE: lambda path: atomic_write(path, text),
         RESOLVED: lambda path: save_config(config, path),
     }
-    return NativeStore.create(out, spec, notes)
+    return NativeStore.create(out, store_spec(environment, config.cameras), notes)
+
+
+def store_spec(environment: Environment, cameras: Sequence[str] = ()) -> StoreSpec:
+    """The spec of a store for episodes of this environment, with images of these cameras."""
+    spec, images = environment.spec, environment.observe(cameras).images
+    return StoreSpec(
+        environment=to_dict(environment.config),
+        state_names=spec.state_names,
+        achieved_names=spec.achieved_names,
+        action_names=spec.action_names,
+        fps=spec.fps,
+        cameras={name: (int(image.shape[0]), int(image.shape[1])) for name, image in images.items()},
+    )
 
 
 def _check_same(config: CollectConfig, out: Path) -> None:
@@ -82,8 +70,3 @@ def _check_same(config: CollectConfig, out: Path) -> None:
             "new episodes may differ from those of an unbroken run",
             file=sys.stderr,
         )
-
-
-@functools.cache
-def _env(config: str) -> Environment:
-    return from_dict(EnvironmentConfig, json.loads(config)).build()
