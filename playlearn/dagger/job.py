@@ -10,6 +10,7 @@ OUT/results.json, plot.png          all rows
 OUT/config.yaml, policy/            the last round's, so that OUT is a run like any other
 """
 
+import functools
 import json
 import sys
 import time
@@ -18,14 +19,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from playlearn.collection import CollectConfig
 from playlearn.config import RunFolder, atomic_write, git_revision, load_config, save_config, to_dict, versions
 from playlearn.dagger.actor import InterventionRule
-from playlearn.dagger.baselines import play_on, player
 from playlearn.dagger.config import ADJUSTABLE, DaggerConfig
-from playlearn.dagger.results import evaluated, gathered, line, plot
-from playlearn.dagger.rollouts import Make, RolloutSpec, collect_rollouts, dagger_actor
-from playlearn.data import DataConfig
+from playlearn.dagger.gather import GatherContext
+from playlearn.dagger.results import evaluated, line, plot
+from playlearn.dagger.rollouts import Make, RolloutSpec, dagger_actor
 from playlearn.data.mixture import DatasetSource
 from playlearn.errors import PlaylearnError, UsageError
 from playlearn.evaluation import TrainedRecipe, evaluate, load_suite, scripted
@@ -37,7 +36,7 @@ from playlearn.store import open_store
 from playlearn.training import TrainConfig, train
 
 CONFIG, NOTE, ROW = "dagger.yaml", "dagger.json", "round.json"
-_PRACTICE, _CONTROL, _TRAINING = 0xDA66E4, 0xC0472A1, 0x7E57ED  # so that no seed serves two ends
+_PRACTICE, _TRAINING = 0xDA66E4, 0x7E57ED  # so that no seed serves two ends
 
 
 def dagger(
@@ -89,7 +88,23 @@ class _Job:
         self.seed = derived_seed(_PRACTICE, config.seed)
         self.judging = load_suite(config.suite or config.rollout_suite)
         self.eval_seed = self.judging.seed if config.eval_seed is None else config.eval_seed
-        self.matched = _frames(config)
+
+    @functools.cached_property
+    def context(self) -> GatherContext:
+        """What is handed to whatever gathers."""
+        config = self.config
+        return GatherContext(
+            rounds=config.rounds,
+            episodes=config.episodes,
+            rollout_spec=self.rollout_spec,
+            goals=config.goals,
+            max_label_deviation=config.max_label_deviation,
+            store=open_store(self.training.store),
+            environment=self.suite.environment,
+            cameras=self.trained(self.run).cameras(),
+            seed=config.seed,
+            workers=self.workers,
+        )
 
     def check(self) -> None:
         """What can go wrong later is found now, in a world or two, before anything is written.
@@ -97,6 +112,7 @@ class _Job:
         Raises:
             PlaylearnError: policy, expert, play and suite do not belong together.
         """
+        config = self.config
         if self.seed == self.eval_seed:
             raise UsageError(
                 f"eval_seed {self.eval_seed} is the seed of the rollouts: what is evaluated would have been "
@@ -109,9 +125,8 @@ class _Job:
         actor = dagger_actor(self.rollout_spec(1, self.run), environment)
         policy.build(cached_env(self.judging.environment))
         self.expert(environment)  # where nobody can drive this world, that is said here
-        if self.matched is not None:
-            self.playing()
-        asked = self.config.gate.sampled
+        config.gather.check(self.context)
+        asked = config.gate.sampled
         if asked:
             environment.reset(0)
             actor.reset([goal_from(environment, policy.cameras())], [0])
@@ -131,12 +146,16 @@ class _Job:
 
     def round(self, number: int, before: list[dict[str, Any]]) -> dict[str, Any]:
         """Row `number`; `before`: those of the rounds before it."""
-        folder = self.out / "rounds" / str(number)
+        config, folder = self.config, self.out / "rounds" / str(number)
         if (folder / ROW).is_file():
             return _read(folder / ROW)
         folder.mkdir(parents=True, exist_ok=True)
         began, last = time.perf_counter(), self.run if number == 1 else self.out / "rounds" / str(number - 1) / "train"
-        row = {"round": number, "beta": self.config.beta.at(number), **self.gather(number, last, folder)}
+        row = {
+            "round": number,
+            "beta": config.beta.at(number),
+            **config.gather.gather(self.context, number, last, folder),
+        }
         if not row["frames"]:
             raise PlaylearnError(
                 f"round {number}: the expert brought none of {row['attempted']} episodes to its goal "
@@ -148,27 +167,6 @@ class _Job:
         )
         row |= evaluated(self.evaluate(folder / "train", folder / "eval"))
         return self.done(folder, {**row, "seconds": round(time.perf_counter() - began, 1)})
-
-    def gather(self, number: int, last: Path, folder: Path) -> dict[str, Any]:
-        """New steps to learn from, in the folder's store; what the row says of them."""
-        config = self.config
-        if self.matched is not None:
-            seed = derived_seed(_CONTROL, config.seed, number)
-            frames = play_on(self.playing(), self.matched[number - 1], seed, folder / "play", self.workers)
-            return {
-                "attempted": 0,
-                "kept": 0,
-                "solved_without_expert": 0,
-                "frames": frames,
-                "labels": 0,
-                "expert_steps": 0,
-            }
-        numbers = range((number - 1) * config.episodes, number * config.episodes)
-        return gathered(
-            collect_rollouts(
-                self.rollout_spec(number, last), numbers, folder, self.workers, f"round {number}, rollouts"
-            )
-        )
 
     def rollout_spec(self, number: int, last: Path) -> RolloutSpec:
         """What the workers of a round are told."""
@@ -185,10 +183,6 @@ class _Job:
             record=config.encoder is None,
         )
 
-    def playing(self) -> CollectConfig:
-        """How a control plays."""
-        return player(self.config, open_store(self.training.store), self.suite, self.trained(self.run).cameras())
-
     def trained(self, run: Path) -> TrainedRecipe:
         """The policy of a run as it practices."""
         config, suite = self.config, self.suite
@@ -199,10 +193,10 @@ class _Job:
     def trained_on(self, number: int, gathered: Mapping[int, int], last: Path) -> TrainConfig:
         """The training of a round: the run's own, from the last policy on. gathered: round -> steps of its store."""
         config, own = self.config, self.training.resolved()
-        total = sum(gathered.values())
+        total, data = sum(gathered.values()), config.gather.data(self.context, own.data)
         kept = tuple(replace(source, fraction=(1 - config.fraction) * source.fraction) for source in own.extra_datasets)
         extra_datasets = tuple(
-            DatasetSource(self.out / "rounds" / str(past) / "play", config.fraction * steps / total, self.cut(own.data))
+            DatasetSource(self.out / "rounds" / str(past) / "play", config.fraction * steps / total, data)
             for past, steps in gathered.items()
         )
         corrections = own.corrections
@@ -229,21 +223,6 @@ class _Job:
             val_every=config.updates,
             seed=derived_seed(_TRAINING, config.seed, number),
             cpu=config.cpu,
-        )
-
-    def cut(self, own: DataConfig) -> DataConfig:
-        """How examples are cut from what was gathered: all of it, and practice as its labels ask."""
-        if self.matched is not None:
-            return replace(own, val_fraction=0.0)
-        config = self.config
-        return replace(
-            own,
-            goals=config.goals,
-            max_label_deviation=config.max_label_deviation,
-            val_fraction=0.0,
-            balance=0.0,
-            failure_fraction=1.0,
-            mask_after_goal=False,
         )
 
     def evaluate(self, run: Path, out: Path) -> dict[str, Any]:
@@ -288,21 +267,6 @@ class _Job:
         atomic_write(self.out / "results.json", json.dumps(results, indent=1).encode())
         plot(rows, self.out / "plot.png")
         return results
-
-
-def _frames(config: DaggerConfig) -> list[int] | None:
-    """How many steps a control adds in each round, None where this is none."""
-    if config.match_steps_of is None:
-        return None
-    path = config.match_steps_of / "results.json"
-    if not path.is_file():
-        raise UsageError(f"match_steps_of: there is no DAgger run at {config.match_steps_of} (no results.json)")
-    frames = [int(row["frames"]) for row in _read(path)["rounds"] if row["round"]]
-    if len(frames) < config.rounds:
-        raise UsageError(
-            f"match_steps_of: {config.match_steps_of} has {len(frames)} rounds, this control is to have {config.rounds}"
-        )
-    return frames
 
 
 def _claim(config: DaggerConfig, run: Path, out: Path, *, resume: bool) -> None:

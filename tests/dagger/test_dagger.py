@@ -16,6 +16,7 @@ from playlearn.dagger import job as module
 from playlearn.dagger import rollouts as practicing
 from playlearn.dagger.actor import InterventionRule
 from playlearn.dagger.gate import NoGateConfig
+from playlearn.dagger.gather import GatherPlayConfig
 from playlearn.dagger.rollouts import RolloutSpec, collect_rollouts
 from playlearn.data import DataConfig
 from playlearn.envs import PlayTableConfig
@@ -218,7 +219,7 @@ def test_a_control_adds_as_many_steps_of_play(
     rows = [{"round": 0}, {"round": 1, "frames": 500}, {"round": 2, "frames": 160}]
     (tmp_path / "like" / "results.json").write_text(json.dumps({"rounds": rows}))
     out = tmp_path / "out"
-    results = go(described(run, baseline=control, match_steps_of=str(tmp_path / "like")), run, out)
+    results = go(described(run, gather={"type": control, "match_steps_of": str(tmp_path / "like")}), run, out)
     assert [row["labels"] for row in results["rounds"][1:]] == [0, 0]
     for row, wanted in zip(results["rounds"][1:], (500, 160), strict=True):
         assert wanted <= row["frames"] < wanted + 150
@@ -232,7 +233,11 @@ def test_a_control_adds_as_many_steps_of_play(
         [0.5 * row["frames"] / sum(row["frames"] for row in results["rounds"][1:]) for row in results["rounds"][1:]]
     )
     with pytest.raises(UsageError, match="has 2 rounds"):
-        go(described(run, baseline=control, match_steps_of=str(tmp_path / "like"), rounds=3), run, tmp_path / "more")
+        go(
+            described(run, gather={"type": control, "match_steps_of": str(tmp_path / "like")}, rounds=3),
+            run,
+            tmp_path / "more",
+        )
 
 
 def test_mistakes_are_found_before_anything_runs(run: Path, tmp_path: Path) -> None:
@@ -245,10 +250,10 @@ def test_mistakes_are_found_before_anything_runs(run: Path, tmp_path: Path) -> N
         go(described(run, eval_seed=module.derived_seed(module._PRACTICE, 0)), run, out)
     with pytest.raises(UsageError, match="never uncertain"):
         go(described(run, gate={"type": "uncertainty"}), run, out)
-    with pytest.raises(UsageError, match="match_steps_of"):
-        described(run, baseline="play")
+    with pytest.raises(UsageError, match=r"`gather\.match_steps_of` is missing"):
+        described(run, gather={"type": "play"})
     with pytest.raises(UsageError, match="no DAgger run at"):
-        go(described(run, baseline="play", match_steps_of=str(tmp_path)), run, out)
+        go(described(run, gather={"type": "play", "match_steps_of": str(tmp_path)}), run, out)
     for wrong in (
         {"fraction": 1.0},
         {"fraction": 0},
@@ -278,7 +283,8 @@ def test_mistakes_are_found_before_anything_runs(run: Path, tmp_path: Path) -> N
 def test_shipped_configs_are_whole(path: Path) -> None:
     config = load_config(DaggerConfig, path)
     assert config.rollout_suite.is_file()
-    assert load_config(DaggerConfig, path, ["--baseline=play", "--match_steps_of=runs/x"]).baseline == "play"
+    baseline = load_config(DaggerConfig, path, ["--gather.type=play", "--gather.match_steps_of=runs/x"])
+    assert baseline.gather == GatherPlayConfig(Path("runs/x"))
 
 
 def gained(run: Path, out: Path, seed: int) -> float:
