@@ -1,4 +1,4 @@
-"""Draw images for play that was recorded without them, or with others."""
+"""Render images for play that was recorded without them, or with others."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -21,9 +21,9 @@ def render_store(
     workers: int | None = None,
     episodes: int | None = None,
 ) -> None:
-    """A store like `source` with images of these cameras and sizes, drawn from its simulator states.
+    """A store like `source` with images of these cameras and sizes, rendered from its simulator states.
 
-    Goes on where an interrupted call stopped. episodes: the first so many only; a later call may ask for more.
+    Continues an interrupted call. episodes: only the first so many; a later call may ask for more.
 
     Raises:
         StoreError: `source` is missing, or `out` holds something else.
@@ -56,9 +56,9 @@ def render_store(
 
 
 def redraw(source: str, out: str, index: int, sizes: Mapping[str, Sequence[int]]) -> None:
-    """Draw the episode that was recorded under `index` anew: what a worker does."""
+    """Render the episode that was recorded under `index`: one job."""
     store = cached_store(source)
-    position = int(np.searchsorted(store.indices(), index))  # by number: somebody may be adding to `source`
+    position = int(np.searchsorted(store.indices(), index))  # by number: `source` may be growing
     environment = cached_env_of(store)
     states = store.array(position, "sim.state")
     images = {camera: np.empty((len(states), h, w, 3), np.uint8) for camera, (h, w) in sizes.items()}

@@ -26,7 +26,7 @@ def begin(config: CollectConfig, environment: Environment, out: Path, *, resume:
     if unknown:
         raise UsageError(f"cameras: {unknown[0]!r} is not one of {', '.join(environment.spec.cameras)}")
     if config.cameras:
-        environment.renderer()  # no OpenGL is said now, not in a worker
+        environment.renderer()  # without OpenGL this fails now, not in a worker
     if resume and (out / "store.json").exists():
         _check_same(config, out)
         return NativeStore.open(out)

@@ -1,4 +1,4 @@
-"""A person plays into a store, with a device: every finished episode is committed before the next one begins."""
+"""A person records play with a device: every finished episode is committed before the next one begins."""
 
 import sys
 from pathlib import Path
@@ -17,7 +17,7 @@ HEIGHT = 480  # of the picture, in pixels
 def collect_by_hand(
     config: CollectConfig, out: Path, kind: str, sensitivity: float = 1.0, *, resume: bool = False
 ) -> None:
-    """Let a person record the episodes that are missing, from the start states that a scripted player would have.
+    """Let a person record the episodes that are missing, from the start states that a scripted collection would have.
 
     kind: `keyboard` or `spacemouse`.
 
@@ -37,7 +37,7 @@ def collect_by_hand(
 def record_by_hand(
     config: CollectConfig, out: Path, environment: Environment, actor: DeviceActor, *, resume: bool = False
 ) -> None:
-    """The same with the world, the device and the screen given."""
+    """The same with the environment, the device and the screen given."""
     store = begin(config, environment, out, resume=resume)
     with store.writer() as writer:
         done = set(store.indices().tolist())
@@ -58,7 +58,7 @@ def record_by_hand(
                 cameras=config.cameras,
             )[0]
             if actor.wish is Wish.DISCARD:
-                print(f"episode {index}: thrown away after {outcome.steps} steps", file=sys.stderr)
+                print(f"episode {index}: discarded after {outcome.steps} steps", file=sys.stderr)
                 continue
             if outcome.episode is None:
                 raise PlaylearnError(f"episode {index} (seed {seed}) ended before its first action: {outcome.ended}")

@@ -1,4 +1,4 @@
-"""Frozen dataclasses from YAML and the command line, and what a run writes down of itself.
+"""Frozen dataclasses from YAML and the command line, what a run records of itself, and the folder it goes into.
 
 A config stands beside the class it builds. A kind (head, goal sampler, environment) is a `draccus.ChoiceRegistry`
 picked by `type:`. What a file leaves out keeps the default that the enclosing config gives it, in nested blocks too;

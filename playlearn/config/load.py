@@ -58,7 +58,7 @@ def save_config(config: Any, path: Path) -> None:
 
 
 def _blame(problem: Problem, given: Sequence[tuple[tuple[str, ...], Any]], where: str) -> str:
-    """Say the file's name, unless an override is what was wrong."""
+    """The name of the file, unless an override is what was wrong."""
     return "" if any(keys[: len(problem.path)] == problem.path for keys, _ in given) else where
 
 

@@ -1,4 +1,4 @@
-"""Make displaced moments of a store's episodes, on all cores; an interrupted making goes on where it stopped."""
+"""Make displaced moments of a store's episodes, on all cores; an interrupted call continues where it stopped."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +19,7 @@ from playlearn.store.folder import claim
 from playlearn.store.tensors import write_tensors
 
 NOTE = "corrections.json"
-_MEASURED = 40  # episodes that tell how the hand responds
+_MEASURED = 40  # episodes on which the response is measured
 _TRIES = 5  # moments looked at for each that is wanted
 
 
@@ -33,11 +33,11 @@ def make_corrections(
 ) -> None:
     """Leave in `folder` a file for each of `episodes` (positions in the store); those that are there already stay.
 
-    A file holds of n moments: t (n,), observation.state (n, S), action (n, k, A) the labels that lead back,
+    A file holds, of n moments: t (n,), observation.state (n, S), action (n, k, A) the labels that lead back,
     displacement (n, 6) m and rad, and images of `cameras` (n, h, w, 3).
 
     Raises:
-        UsageError: `folder` was made with other settings, or the store's world has no hand to displace.
+        UsageError: `folder` was made with other settings, or the store's environment cannot displace its arm.
         StoreError: the store lacks simulator states, or the disk is full.
     """
     response = hand_response(store, episodes[:_MEASURED].tolist())
@@ -58,7 +58,7 @@ def make_corrections(
 
 
 def correct(source: str, out: str, index: int) -> None:
-    """Displaced moments of the episode that was recorded under `index`: what a worker does."""
+    """Make displaced moments of the episode that was recorded under `index`: one job."""
     store, note = cached_store(source), cached_note(str(Path(out) / NOTE))
     position = int(np.searchsorted(store.indices(), index))
     env = _environment(store)
@@ -72,14 +72,14 @@ def correct(source: str, out: str, index: int) -> None:
             break
         shift, turn = _within_ball(note["displacement"], rng), _within_ball(note["turn"], rng)
         if _touches(env, states[t + steps]) or _touches(env, states[t]):
-            continue  # what it holds or pushes would be torn away, now or on the way back
+            continue  # it would lose what it holds or pushes, now or on the way back
         before = env.observe().achieved
         if not env.displace(shift, turn):
             continue
         seen = env.observe()
         if not np.array_equal(seen.achieved, before):
             continue
-        pictures = {camera: env.render(camera, h, w) for camera, (h, w) in sizes.items()}
+        images = {camera: env.render(camera, h, w) for camera, (h, w) in sizes.items()}
         back = way_back(env, states[t], labels[t : t + steps], response, shift, turn)
         if back is None:
             continue
@@ -87,8 +87,8 @@ def correct(source: str, out: str, index: int) -> None:
         rows["observation.state"].append(seen.state)
         rows["action"].append(back)
         rows["displacement"].append(np.concatenate([shift, turn]))
-        for camera, picture in pictures.items():
-            rows[IMAGES + camera].append(picture)
+        for camera, image in images.items():
+            rows[IMAGES + camera].append(image)
     shapes = {
         "t": (),
         "observation.state": (len(store.spec.state_names),),
@@ -104,13 +104,13 @@ def correct(source: str, out: str, index: int) -> None:
 
 
 def _touches(env: CorrectableEnv, state: Array) -> bool:
-    """Whether the robot touches something in a recorded state; the world is left in that state."""
+    """Whether the robot touches something in a recorded state; the environment is left in that state."""
     env.set_state(np.array(state))
     return env.touching()
 
 
 def _within_ball(radius: float, rng: np.random.Generator) -> Array:
-    """(3,) any direction, any length up to `radius` equally likely: small ones are what mostly happens."""
+    """(3,) uniform in direction and in length up to `radius`: small displacements are the common case."""
     direction = rng.normal(size=3)
     return direction / np.linalg.norm(direction) * radius * rng.random()
 

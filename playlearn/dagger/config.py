@@ -11,7 +11,7 @@ from playlearn.errors import UsageError
 from playlearn.relabeling import GoalSamplerConfig
 from playlearn.relabeling.final_settled import FinalSettledConfig
 
-ADJUSTABLE = ("rounds",)  # what a run that goes on may change
+ADJUSTABLE = ("rounds",)  # what a resumed run may change
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class DaggerConfig:
     warmup: updates over which the learning rate rises.
     eval_episodes: episodes of each evaluation (null: the suite's own).
     eval_seed: of each evaluation (null: the suite's own).
-    n_action_steps: actions of a chunk that are executed before the next plan (null: as the suite says).
-    guidance: weight of the goal (null: as the suite says).
+    n_action_steps: actions of a chunk that are executed before the next plan (null: the suite's).
+    guidance: weight of the goal (null: the suite's).
     gather: what each round adds: `rollouts`, or a baseline (`play`, `noise`) that adds as many steps of play.
     seed: of starts, goals and training.
     cpu: train on the CPU even where there is a GPU.

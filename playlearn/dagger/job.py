@@ -1,11 +1,11 @@
-"""`playlearn dagger`: rounds of practice, training and evaluation, each done once.
+"""`playlearn dagger`: rounds of rollouts, training and evaluation, each done once.
 
 OUT/dagger.yaml, dagger.json        what is run, from which policy
-OUT/rounds/N/play/                  the round's own store; practice/: how each episode went
-OUT/rounds/N/train/                 a training run that begins with the last round's policy
+OUT/rounds/N/play/                  the round's own store; rollouts/: how each episode went
+OUT/rounds/N/train/                 a training run that starts from the last round's policy
 OUT/rounds/N/eval/                  a report like that of `playlearn eval`
-OUT/rounds/N/round.json             its row, written last: a round without one is done again from where it stopped
-OUT/perceived/                      play and practice as an image encoder perceives them, where it acts behind one
+OUT/rounds/N/round.json             its row, written last: a round without one continues where it stopped
+OUT/perceived/                      play and rollouts as the image encoder perceives them, with `encoder`
 OUT/results.json, plot.png          all rows
 OUT/config.yaml, policy/            the last round's, so that OUT is a run like any other
 """
@@ -36,7 +36,7 @@ from playlearn.store import open_store
 from playlearn.training import TrainConfig, train
 
 CONFIG, NOTE, ROW = "dagger.yaml", "dagger.json", "round.json"
-_PRACTICE, _TRAINING = 0xDA66E4, 0x7E57ED  # so that no seed serves two ends
+_ROLLOUTS, _TRAINING = 0xDA66E4, 0x7E57ED  # so that no seed serves two purposes
 
 
 def dagger(
@@ -48,14 +48,14 @@ def dagger(
     resume: bool = False,
     expert: Make | None = None,
 ) -> dict[str, Any]:
-    """Make the policy of `run` better in rounds; see the drawing above. expert: by default that of the environment.
+    """Improve the policy of `run` in rounds; see the drawing above. expert: by default that of the environment.
 
-    Returns what results.json says.
+    Returns the contents of results.json.
 
     Raises:
-        UsageError: a setting does not fit the run; `out` is taken or, with `resume`, was begun otherwise.
-        CheckpointError: there is no such run, or the suites are not of its world.
-        PlaylearnError: the expert brought no episode of a round to its goal.
+        UsageError: a setting does not fit the run; `out` is taken or, with `resume`, was begun with another config.
+        CheckpointError: there is no such run, or the suites are not of its environment.
+        PlaylearnError: no episode of a round reached its goal.
     """
     job = _Job(config, run, out, workers, expert or scripted)
     job.check()
@@ -69,7 +69,7 @@ def dagger(
 
 @dataclass(eq=False)
 class _Job:
-    """Everything that the rounds share."""
+    """What is common to all rounds."""
 
     config: DaggerConfig
     run: Path
@@ -78,16 +78,16 @@ class _Job:
     expert: Make
 
     def __post_init__(self) -> None:
-        """Reads what is said of the run and the suites; nothing is simulated."""
+        """Reads the configs of the run and the suites; nothing is simulated."""
         config, path = self.config, self.run / "config.yaml"
         if not path.is_file():
             raise UsageError(f"there is no run at {self.run} (no config.yaml); make one with: playlearn train")
         self.training = load_config(TrainConfig, path)
         self.suite = load_suite(config.rollout_suite)
         self.suite = replace(self.suite, kind=self.suite.kind.prepare(None))
-        self.seed = derived_seed(_PRACTICE, config.seed)
-        self.judging = load_suite(config.suite or config.rollout_suite)
-        self.eval_seed = self.judging.seed if config.eval_seed is None else config.eval_seed
+        self.seed = derived_seed(_ROLLOUTS, config.seed)
+        self.eval_suite = load_suite(config.suite or config.rollout_suite)
+        self.eval_seed = self.eval_suite.seed if config.eval_seed is None else config.eval_seed
 
     @functools.cached_property
     def context(self) -> GatherContext:
@@ -107,7 +107,7 @@ class _Job:
         )
 
     def check(self) -> None:
-        """What can go wrong later is found now, in a world or two, before anything is written.
+        """Find what would go wrong later, in an environment or two, before anything is written.
 
         Raises:
             PlaylearnError: policy, expert, play and suite do not belong together.
@@ -115,16 +115,16 @@ class _Job:
         config = self.config
         if self.seed == self.eval_seed:
             raise UsageError(
-                f"eval_seed {self.eval_seed} is the seed of the rollouts: what is evaluated would have been "
-                "practiced; give another eval_seed"
+                f"eval_seed {self.eval_seed} is the seed of the rollouts: training would see what is evaluated; "
+                "give another eval_seed"
             )
         open_store(self.training.store)
         policy = self.trained(self.run)
         policy.check()
         environment = cached_env(self.suite.environment)
         actor = dagger_actor(self.rollout_spec(1, self.run), environment)
-        policy.build(cached_env(self.judging.environment))
-        self.expert(environment)  # where nobody can drive this world, that is said here
+        policy.build(cached_env(self.eval_suite.environment))
+        self.expert(environment)  # an environment without an expert fails here
         config.gather.check(self.context)
         asked = config.gate.sampled
         if asked:
@@ -134,18 +134,18 @@ class _Job:
             if not actor.unsure():
                 raise UsageError(
                     f"gate: the policy of {self.run} samples the same chunk again and again, so that it is never "
-                    "uncertain; use `gate.type: distance`, or train a head that has a spread"
+                    "uncertain; use `gate.type: distance`, or train a head that samples"
                 )
 
     def start(self) -> dict[str, Any]:
-        """Row 0: the policy that all begins with."""
+        """Row 0: the policy that the run starts from."""
         folder = self.out / "rounds" / "0"
         if (folder / ROW).is_file():
             return _read(folder / ROW)
         return self.done(folder, {"round": 0, **evaluated(self.evaluate(self.run, folder / "eval"))})
 
     def round(self, number: int, before: list[dict[str, Any]]) -> dict[str, Any]:
-        """Row `number`; `before`: those of the rounds before it."""
+        """Row `number`. before: the rows of the rounds before it."""
         config, folder = self.config, self.out / "rounds" / str(number)
         if (folder / ROW).is_file():
             return _read(folder / ROW)
@@ -158,8 +158,8 @@ class _Job:
         }
         if not row["frames"]:
             raise PlaylearnError(
-                f"round {number}: the expert brought none of {row['attempted']} episodes to its goal "
-                f"({row['discarded']}); raise finish_steps, or practice on a suite that it can do"
+                f"round {number}: none of {row['attempted']} episodes reached its goal "
+                f"({row['discarded']}); raise finish_steps, or give a rollout_suite that the expert can solve"
             )
         gathered = {past["round"]: past["frames"] for past in [*before, row] if past["round"]}
         train(
@@ -169,14 +169,14 @@ class _Job:
         return self.done(folder, {**row, "seconds": round(time.perf_counter() - began, 1)})
 
     def rollout_spec(self, number: int, last: Path) -> RolloutSpec:
-        """What the workers of a round are told."""
+        """How the rollouts of a round are made."""
         config = self.config
-        sharing = InterventionRule(config.beta.at(number), config.switch_every, config.gate, config.policy_steps)
+        rule = InterventionRule(config.beta.at(number), config.switch_every, config.gate, config.policy_steps)
         return RolloutSpec(
             self.suite,
             self.trained(last),
             self.expert,
-            sharing,
+            rule,
             self.seed,
             config.finish_steps,
             config.success_hold_steps,
@@ -184,14 +184,14 @@ class _Job:
         )
 
     def trained(self, run: Path) -> TrainedRecipe:
-        """The policy of a run as it practices."""
+        """The policy of a run as it acts in rollouts."""
         config, suite = self.config, self.suite
         n_action_steps = suite.n_action_steps if config.n_action_steps is None else config.n_action_steps
         guidance = suite.guidance if config.guidance is None else config.guidance
         return TrainedRecipe(run, config.goal, n_action_steps, guidance, encoder=config.encoder)
 
     def trained_on(self, number: int, gathered: Mapping[int, int], last: Path) -> TrainConfig:
-        """The training of a round: the run's own, from the last policy on. gathered: round -> steps of its store."""
+        """The training of a round: the run's own, from the last policy. gathered: round -> steps of its store."""
         config, own = self.config, self.training.resolved()
         total, data = sum(gathered.values()), config.gather.data(self.context, own.data)
         kept = tuple(replace(source, fraction=(1 - config.fraction) * source.fraction) for source in own.extra_datasets)
@@ -204,10 +204,8 @@ class _Job:
             corrections = replace(corrections, folder=corrections.folder or self.run / "corrections")
         perceived = own.perceived
         if config.encoder is not None:
-            looks = config.perceived_every > 0
-            perceived = (
-                PerceivedConfig(config.encoder, config.perceived_every, self.out / "perceived") if looks else None
-            )
+            every = config.perceived_every
+            perceived = PerceivedConfig(config.encoder, every, self.out / "perceived") if every else None
         return replace(
             own,
             policy=Policy.load(self.run / "policy").config,
@@ -226,7 +224,7 @@ class _Job:
         )
 
     def evaluate(self, run: Path, out: Path) -> dict[str, Any]:
-        """Judge a policy: the same episodes for every round."""
+        """Evaluate a policy: the same episodes in every round."""
         config = self.config
         given = {"n_action_steps": config.n_action_steps, "guidance": config.guidance}
         return evaluate(
@@ -244,14 +242,14 @@ class _Job:
         )
 
     def done(self, folder: Path, row: dict[str, Any]) -> dict[str, Any]:
-        """Write the row down: from now on the round is done."""
+        """Save the row: from now on the round is done."""
         folder.mkdir(parents=True, exist_ok=True)
         atomic_write(folder / ROW, json.dumps(row, indent=1).encode())
         print(line(row), file=sys.stderr, flush=True)
         return row
 
     def write(self, rows: list[dict[str, Any]]) -> dict[str, Any]:
-        """All rows, and the last round's policy as that of `out`. Returns what results.json says."""
+        """All rows, and the last round's policy as that of `out`. Returns the contents of results.json."""
         last = self.out / "rounds" / str(rows[-1]["round"]) / "train"
         Policy.load(last / "policy").save(self.out / "policy")
         atomic_write(self.out / "config.yaml", (last / "config.yaml").read_bytes())

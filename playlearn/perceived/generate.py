@@ -1,4 +1,4 @@
-"""Look at moments of a store's episodes through an image encoder, on all cores; an interrupted look goes on."""
+"""Estimate moments of a store's episodes with an image encoder, on all cores; an interrupted call continues."""
 
 import functools
 import hashlib
@@ -27,12 +27,12 @@ NOTE = "perceived.json"
 def make_perceived(config: PerceivedConfig, store: Store, folder: Path, workers: int | None = None) -> None:
     """Leave in `folder` a file for each episode of the store; those that are there already stay.
 
-    A file holds of n moments: t (n,), observed (n, G) and wanted (n, G), what the encoder takes `achieved` for in the
-    observation and in that observation as a goal.
+    A file holds, of n moments: t (n,), and the encoder's estimates of `achieved`: observed (n, G) from the observation,
+    wanted (n, G) from that observation as a goal.
 
     Raises:
         CheckpointError: there is no encoder, or it is not of this store's environment.
-        UsageError: `folder` was made with other settings, or the encoder does not tell where things are.
+        UsageError: `folder` was made with other settings, or the encoder does not estimate where objects are.
         StoreError: the store lacks simulator states, or the disk is full.
     """
     encoder, weights = _encoder(str(config.encoder)), config.encoder / "policy" / WEIGHTS
@@ -61,12 +61,12 @@ def make_perceived(config: PerceivedConfig, store: Store, folder: Path, workers:
 
 
 def perceive(source: str, encoder: str, out: str, index: int) -> None:
-    """Moments of the episode that was recorded under `index`, as the encoder perceives them: what a worker does."""
+    """Estimate moments of the episode that was recorded under `index`: one job."""
     store, policy = cached_store(source), _encoder(encoder)
     every = int(cached_note(str(Path(out) / NOTE))["every"])
     environment = cached_env_of(store)
     states = store.array(int(np.searchsorted(store.indices(), index)), "sim.state")
-    t = np.unique([*range(every // 2, len(states), every), len(states) - 1])  # the last one is a goal of practice
+    t = np.unique([*range(every // 2, len(states), every), len(states) - 1])  # the last one is the goal of a rollout
     seen = []
     for state in states[t]:
         environment.set_state(np.array(state))

@@ -1,4 +1,4 @@
-"""Draw scenes of a store's episodes, on all cores; an interrupted drawing goes on where it stopped."""
+"""Render scenes of a store's episodes, on all cores; an interrupted call continues where it stopped."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,10 +25,10 @@ KEYPOINTS = "keypoints."
 
 @runtime_checkable
 class SceneEnvironment(Environment, Protocol):
-    """An environment whose objects can be placed anew around the robot, and whose cameras' geometry is known."""
+    """An environment that can rearrange its objects around the robot, and whose cameras' geometry is known."""
 
     def rearrange(self, rng: np.random.Generator) -> None:
-        """Place the objects as a random start does, the robot staying where it is; only to be looked at."""
+        """Place the objects as a random start does; the robot stays where it is. The state is only for rendering."""
         ...
 
     def project(self, camera: str, points: Array) -> Array:
@@ -46,11 +46,13 @@ def draw_scenes(
 ) -> None:
     """Leave in `folder` a file for each episode of the store; those that are there already stay.
 
-    A file holds of n scenes: observation.state (n, S), achieved (n, G), images of `cameras` (n, h, w, 3) uint8, and
-    under `keypoints.CAMERA` where that camera sees the `placed_objects`, (n, O, 2) float32. held_out: (N,) which are.
+    A file holds, of n scenes: observation.state (n, S), achieved (n, G), images of `cameras` (n, h, w, 3) uint8, and
+    under `keypoints.CAMERA` where that camera sees the `placed_objects`, (n, O, 2) float32.
+
+    val_mask: (N,) which episodes are held out.
 
     Raises:
-        UsageError: `folder` was drawn with other settings, or the store's environment cannot be rearranged or drawn.
+        UsageError: `folder` was made with other settings, or the store's environment cannot be rearranged or rendered.
         StoreError: the store lacks simulator states, or the disk is full.
     """
     note = {
@@ -67,19 +69,19 @@ def draw_scenes(
                 "source": store.name(),
                 "out": str(folder),
                 "index": int(number),
-                "rearranged": 0.0 if out else config.rearranged,
+                "rearranged": 0.0 if held_out else config.rearranged,
             },
         )
-        for number, out in zip(store.indices(), val_mask, strict=True)
+        for number, held_out in zip(store.indices(), val_mask, strict=True)
     ]
     run_jobs(f"scenes {folder}", missing(jobs, folder), len(jobs), workers)
 
 
 def scene_sizes(store: Store, cameras: Sequence[str]) -> dict[str, tuple[int, int]]:
-    """Camera -> (height, width) of what the store's environment draws.
+    """Camera -> (height, width) of what the store's environment renders.
 
     Raises:
-        UsageError: it has no such camera, or its scenes cannot be drawn.
+        UsageError: it has no such camera, or cannot be rearranged.
     """
     environment = _environment(store)
     unknown = [camera for camera in cameras if camera not in environment.spec.cameras]
@@ -90,7 +92,7 @@ def scene_sizes(store: Store, cameras: Sequence[str]) -> dict[str, tuple[int, in
 
 
 def draw(source: str, out: str, index: int, rearranged: float) -> None:
-    """Scenes of the episode that was recorded under `index`: what a worker does."""
+    """Render scenes of the episode that was recorded under `index`: one job."""
     store, note = cached_store(source), cached_note(str(Path(out) / NOTE))
     environment = _environment(store)
     states = store.array(int(np.searchsorted(store.indices(), index)), "sim.state")
@@ -117,6 +119,6 @@ def _environment(store: Store) -> SceneEnvironment:
     environment = cached_env_of(store)
     if not isinstance(environment, SceneEnvironment):
         raise UsageError(
-            "scenes: this environment cannot place its objects anew (`rearrange`, `project`); leave them out"
+            "scenes: this environment cannot rearrange its objects (`rearrange`, `project`); leave them out"
         )
     return environment

@@ -1,4 +1,4 @@
-"""What a run is shown beside its own play, and what is held out."""
+"""Rendered scenes as examples, held-out batches, and the check for cameras."""
 
 import math
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from playlearn.training.config import TrainConfig
 
 
 def check_cameras(config: TrainConfig, store: Store) -> None:
-    """Raises UsageError where the store lacks a camera; the message says how to come by it."""
+    """Raises UsageError where the store lacks a camera; the message says how to render it."""
     has = store.cameras()
     missing = [camera for camera in (*config.data.cameras, *config.data.goal_cameras) if camera not in has]
     if missing:

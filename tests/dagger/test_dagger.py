@@ -13,7 +13,7 @@ from playlearn.collection import CollectConfig
 from playlearn.config import from_dict, load_config, save_config
 from playlearn.dagger import DaggerConfig, dagger
 from playlearn.dagger import job as module
-from playlearn.dagger import rollouts as practicing
+from playlearn.dagger import rollouts as rollouts_module
 from playlearn.dagger.actor import InterventionRule
 from playlearn.dagger.gate import NoGateConfig
 from playlearn.dagger.gather import GatherPlayConfig
@@ -81,11 +81,11 @@ def go(config: DaggerConfig, run: Path, out: Path, **more: Any) -> dict[str, Any
 
 def test_what_is_practiced_is_relabeled_by_the_goal_that_was_commanded(run: Path, tmp_path: Path) -> None:
     """Every example's goal is the setup's, within what counts as reached, whatever the policy did on the way there."""
-    sharing = InterventionRule(0.0, 8, NoGateConfig(), (5, 20))
+    rule = InterventionRule(0.0, 8, NoGateConfig(), (5, 20))
     spec = RolloutSpec(
-        SUITE, TrainedRecipe(run, "state", 2), point_expert, sharing, seed=5, finish_steps=60, success_hold_steps=4
+        SUITE, TrainedRecipe(run, "state", 2), point_expert, rule, seed=5, finish_steps=60, success_hold_steps=4
     )
-    records = collect_rollouts(spec, range(10, 20), tmp_path, 0, "practice")
+    records = collect_rollouts(spec, range(10, 20), tmp_path, 0, "rollouts")
     store, env = NativeStore.open(tmp_path / "play"), PointEnv(PointConfig())
     assert store.indices().tolist() == [row.episode for row in records if row.kept]
     assert len(store) >= 8
@@ -107,11 +107,11 @@ def test_what_is_practiced_is_relabeled_by_the_goal_that_was_commanded(run: Path
 
 
 def test_an_expert_that_does_not_finish_is_counted_and_leaves_nothing(run: Path, tmp_path: Path) -> None:
-    sharing = InterventionRule(0.0, 8, NoGateConfig(), (1, 1))
+    rule = InterventionRule(0.0, 8, NoGateConfig(), (1, 1))
     spec = RolloutSpec(
-        SUITE, TrainedRecipe(run, "state", 2), point_expert, sharing, seed=5, finish_steps=3, success_hold_steps=4
+        SUITE, TrainedRecipe(run, "state", 2), point_expert, rule, seed=5, finish_steps=3, success_hold_steps=4
     )
-    records = collect_rollouts(spec, range(4), tmp_path, 0, "practice")
+    records = collect_rollouts(spec, range(4), tmp_path, 0, "rollouts")
     assert [(row.kept, row.ended, row.labels) for row in records] == [(False, "length", 4)] * 4
     assert len(NativeStore.open(tmp_path / "play")) == 0
     with pytest.raises(PlaylearnError, match="none of 6 episodes"):
@@ -179,13 +179,13 @@ def test_a_killed_round_is_gone_on_with_and_those_before_it_are_not_repeated(
             raise Killed
         return plain(*arguments, **more)
 
-    def setups(spec: Any, numbers: Any, *others: Any) -> Any:
+    def set_up(spec: Any, numbers: Any, *others: Any) -> Any:
         if numbers[0] == 10:  # the second cohort of round 2
             raise Killed
         return drawn(spec, numbers, *others)
 
-    plain, drawn = module.evaluate, practicing._setups
-    for place, name, strikes in ((practicing, "_setups", setups), (module, "evaluate", evaluate)):
+    plain, drawn = module.evaluate, rollouts_module._set_up
+    for place, name, strikes in ((rollouts_module, "_set_up", set_up), (module, "evaluate", evaluate)):
         with monkeypatch.context() as patch:
             patch.setattr(place, name, strikes)
             with pytest.raises(Killed):
@@ -247,7 +247,7 @@ def test_mistakes_are_found_before_anything_runs(run: Path, tmp_path: Path) -> N
     with pytest.raises(UsageError, match="nobody can drive 'point'"):
         dagger(described(run), run, out, workers=0)
     with pytest.raises(UsageError, match="seed of the rollouts"):
-        go(described(run, eval_seed=module.derived_seed(module._PRACTICE, 0)), run, out)
+        go(described(run, eval_seed=module.derived_seed(module._ROLLOUTS, 0)), run, out)
     with pytest.raises(UsageError, match="never uncertain"):
         go(described(run, gate={"type": "uncertainty"}), run, out)
     with pytest.raises(UsageError, match=r"`gather\.match_steps_of` is missing"):

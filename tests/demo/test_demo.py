@@ -11,11 +11,11 @@ import pytest
 from playlearn.config import load_config
 from playlearn.dagger import DaggerConfig
 from playlearn.demo import DemoConfig, demo, job
+from playlearn.demo.checks import success_problem, training_problem
 from playlearn.demo.commands import Done, run_together
 from playlearn.demo.config import Cost
 from playlearn.demo.job import STAGES
 from playlearn.demo.reference import Reference
-from playlearn.demo.verdict import judge_success, judge_training
 from playlearn.errors import PlaylearnError, UsageError
 from playlearn.training import TrainConfig
 
@@ -66,32 +66,32 @@ def metrics(run: Path, *losses: float, every: int = 10) -> None:
     (run / "metrics.jsonl").write_text("\n".join(lines) + "\n")
 
 
-def test_a_training_is_judged_by_the_loss_it_ends_with(tmp_path: Path) -> None:
+def test_a_training_is_checked_by_its_last_loss(tmp_path: Path) -> None:
     metrics(tmp_path / "run", 1.0, 0.2)
-    assert judge_training("the policy", tmp_path / "run", "head", 0.2, 10) is None
-    why = judge_training("the policy", tmp_path / "run", "head", 0.1, 5000)
+    assert training_problem("the policy", tmp_path / "run", "head", 0.2, 10) is None
+    why = training_problem("the policy", tmp_path / "run", "head", 0.1, 5000)
     assert why is not None
-    assert "held-out loss is 0.2, and above 0.1 nothing is reached" in why
-    assert "it made 10 updates, the demo's config says 5000" in why
-    assert "the play is too little" in str(judge_training("the policy", tmp_path / "run", "head", 0.1, 10))
-    assert judge_training("the policy", tmp_path / "run", "head", float("inf"), 10) is None
+    assert "held-out loss is 0.2; above 0.1 no goal is reached" in why
+    assert "it made 10 updates, the demo's config asks for 5000" in why
+    assert "too little play" in str(training_problem("the policy", tmp_path / "run", "head", 0.1, 10))
+    assert training_problem("the policy", tmp_path / "run", "head", float("inf"), 10) is None
     metrics(tmp_path / "run", 1.0, float("nan"))
-    assert judge_training("the policy", tmp_path / "run", "head", 0.5, 10) is not None
+    assert training_problem("the policy", tmp_path / "run", "head", 0.5, 10) is not None
 
 
-def evaluated(success: tuple[float, float, float], chance: tuple[float, float, float]) -> dict[str, Any]:
+def evaluated(success: tuple[float, float, float], random: tuple[float, float, float]) -> dict[str, Any]:
     def rates(rate: tuple[float, float, float]) -> dict[str, Any]:
         return {"success_rate": rate[0], "ci95": list(rate[1:]), "episodes": 102}
 
-    return {**rates(success), "references": {"random": rates(chance)}}
+    return {**rates(success), "references": {"random": rates(random)}}
 
 
-def test_no_better_than_chance_is_said() -> None:
-    """By the intervals: 4.9 % (2.1 to 11.0) is not above random actions at 3.9 % (1.5 to 9.7)."""
-    why = judge_success(evaluated((0.049, 0.021, 0.11), (0.039, 0.015, 0.097)))
+def test_a_policy_no_better_than_random_is_reported() -> None:
+    """By the intervals: 4.9 % (2.1 to 11.0) is not above a random policy at 3.9 % (1.5 to 9.7)."""
+    why = success_problem(evaluated((0.049, 0.021, 0.11), (0.039, 0.015, 0.097)))
     assert why is not None
-    assert "4.9% of 102 goal images and random actions 3.9%" in why
-    assert judge_success(evaluated((0.6, 0.5, 0.7), (0.039, 0.015, 0.097))) is None
+    assert "4.9% of 102 goal images, a random policy 3.9%" in why
+    assert success_problem(evaluated((0.6, 0.5, 0.7), (0.039, 0.015, 0.097))) is None
 
 
 class Commands:
@@ -184,19 +184,19 @@ def test_the_time_is_estimated_from_the_reference(run: Callable[..., Any]) -> No
 
 
 @pytest.mark.parametrize(
-    ("how", "stages", "words"),
+    ("how", "stages", "message"),
     [
-        ({"state": 0.11}, 2, "the demo ends here: the state policy: its held-out loss is 0.11"),
-        ({"encoder": 0.7}, 2, "the demo ends here: the image encoder"),
-        ({"success": 0.1}, 4, "that is no better than chance"),
+        ({"state": 0.11}, 2, "the demo stops here: the state policy: its held-out loss is 0.11"),
+        ({"encoder": 0.7}, 2, "the demo stops here: the image encoder"),
+        ({"success": 0.1}, 4, "it is no better than random"),
     ],
 )
 def test_a_stage_that_came_to_nothing_ends_in_an_error(
-    how: dict[str, float], stages: int, words: str, run: Callable[..., Any]
+    how: dict[str, float], stages: int, message: str, run: Callable[..., Any]
 ) -> None:
     fake, said = run(**how)
     assert len(fake.called) == stages
-    assert words in said[-1]
+    assert message in said[-1]
     assert said[-1].startswith("ERROR")
 
 

@@ -1,4 +1,4 @@
-"""An episode that fails loses no other, is told with its number and seed, and can be played again alone."""
+"""An episode that fails loses no other, is reported with its number and seed, and can be played again by itself."""
 
 import json
 import re
@@ -39,7 +39,7 @@ def test_what_fails_loses_nothing_else_and_is_told(
     assert store.meta(4).ended == "diverged: the point left the plane"
     assert store.lengths().tolist() == [12, 12, 12, 12, point.AT - 1, 12, 12, 12]
     assert "4 episodes failed" in errors
-    commands = dict(re.findall(r"alone, with a traceback: (playlearn collect .*--episode (\d+))", errors))
+    commands = dict(re.findall(r"by itself, with a traceback: (playlearn collect .*--episode (\d+))", errors))
     told = {int(index): command for command, index in commands.items()}
     assert told.keys() == WHY.keys()
     for index, why in WHY.items():

@@ -150,7 +150,7 @@ def test_what_cannot_be_perceived_is_refused(folder: Path, tmp_path: Path) -> No
     with pytest.raises(UsageError, match="cannot tell where things are"):
         make_perceived(PerceivedConfig(folder / "state"), store, tmp_path / "b", workers=0)
     told = {"encoder": str(folder / "encoder")}
-    with pytest.raises(UsageError, match="looks at images itself"):
+    with pytest.raises(UsageError, match="sees images itself"):
         config(folder, {"type": "cnn"}, perceived=told)
     with pytest.raises(UsageError, match="neither corrections nor scenes"):
         config(folder, STATE, perceived=told, corrections={})

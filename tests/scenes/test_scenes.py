@@ -158,7 +158,7 @@ def test_an_encoder_is_trained_from_a_store_without_images(store: NativeStore, t
 
 
 def test_scenes_leave_room_for_what_else_is_shown() -> None:
-    with pytest.raises(UsageError, match="leave nothing to the play"):
+    with pytest.raises(UsageError, match="leave nothing for the play"):
         from_dict(TrainConfig, {"scenes": {"fraction": 0.6}, "extra_datasets": [{"store": "x", "fraction": 0.5}]})
     with pytest.raises(UsageError, match="single moments"):
         from_dict(TrainConfig, {"scenes": {}, "policy": {"history": 2}})
