@@ -11,7 +11,7 @@ from playlearn.rollout import rollout
 from playlearn.sim import Environment
 from playlearn.teleop.device import DeviceActor, Wish, open_device
 
-HEIGHT = 480  # of the picture, in pixels
+HEIGHT = 480  # of the shown image, in pixels
 
 
 def collect_by_hand(

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from playlearn.corrections.config import CorrectionsConfig
-from playlearn.corrections.response import hand_response
+from playlearn.corrections.response import end_effector_response
 from playlearn.corrections.rollback import CorrectableEnv, way_back
 from playlearn.episode import IMAGES, Array
 from playlearn.episode_jobs import missing, run_jobs
@@ -40,7 +40,7 @@ def make_corrections(
         UsageError: `folder` was made with other settings, or the store's environment cannot displace its arm.
         StoreError: the store lacks simulator states, or the disk is full.
     """
-    response = hand_response(store, episodes[:_MEASURED].tolist())
+    response = end_effector_response(store, episodes[:_MEASURED].tolist())
     note = {
         "store": dict(store.spec.environment),
         "cameras": {camera: list(store.cameras()[camera]) for camera in cameras},

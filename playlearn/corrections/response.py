@@ -14,7 +14,7 @@ _AXES = ("eef.r00", "eef.r10", "eef.r20", "eef.r01", "eef.r11", "eef.r21")
 _MOVES = ("dx", "dy", "dz", "droll", "dpitch", "dyaw")
 
 
-def hand_response(store: Store, episodes: Sequence[int]) -> Array:
+def end_effector_response(store: Store, episodes: Sequence[int]) -> Array:
     """(2, 3, 3): meters of displacement, and radians of rotation, that an action of 1 adds up to in the end.
 
     Each step's motion is fitted linearly on the actions before it, and the fit is summed over the lags. Of that sum the
@@ -63,7 +63,7 @@ def offset(names: Sequence[str], state: Array, other: Array) -> Array:
 
 
 def undoing(response: Array, off: Array) -> Array:
-    """(6,) the sum of actions that undoes a displacement (6,). response: see `hand_response`."""
+    """(6,) the sum of actions that undoes a displacement (6,). response: see `end_effector_response`."""
     return -np.concatenate([np.linalg.solve(response[0], off[:3]), np.linalg.solve(response[1], off[3:])])
 
 

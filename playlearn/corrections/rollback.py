@@ -42,7 +42,7 @@ def way_back(
 
     state: of the simulator, before the displacement.
     labels: (k, A), recorded.
-    response: see `hand_response`.
+    response: see `end_effector_response`.
     shift: (3,) m.
     turn: (3,) rad.
     """

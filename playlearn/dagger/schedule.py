@@ -19,7 +19,7 @@ class BetaConfig(draccus.ChoiceRegistry):
 @BetaConfig.register_subclass("zero")
 @dataclass(frozen=True)
 class ZeroConfig(BetaConfig):
-    """The policy alone acts, from the first round on."""
+    """Only the policy acts, from the first round on."""
 
     def at(self, number: int) -> float:
         return 0.0

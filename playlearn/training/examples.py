@@ -22,9 +22,9 @@ def check_cameras(config: TrainConfig, store: Store) -> None:
         missing = list(dict.fromkeys(missing))
         there = ", ".join(f"{camera} {h}x{w}" for camera, (h, w) in has.items()) or "none"
         wanted = " ".join(f"--camera {camera}=64x64" for camera in missing)
-        drawn = f"`playlearn render {store.name()} OUT {wanted}` draws them from its simulator states"
+        rendered = f"`playlearn render {store.name()} OUT {wanted}` renders them from its simulator states"
         chosen = "name its own in `policy.encoder`"
-        way = drawn if store.array(0, "sim.state").shape[1] else chosen
+        way = rendered if store.array(0, "sim.state").shape[1] else chosen
         raise UsageError(f"{store.name()} has no images of {', '.join(missing)} (it has: {there}); {way}")
 
 
@@ -40,8 +40,8 @@ def validation_batches(
     return [dataset.batch(0, part) for part in _parts(order, config.batch_size)]
 
 
-def drawn_scenes(config: TrainConfig, folder: Path, episodes: NDArray[np.int64], actions: int) -> Scenes:
-    """The scenes in a folder that were drawn of these episodes (their numbers). actions: A."""
+def rendered_scenes(config: TrainConfig, folder: Path, episodes: NDArray[np.int64], actions: int) -> Scenes:
+    """The scenes in a folder that were rendered of these episodes (their numbers). actions: A."""
     encoder = config.policy.encoder
     return Scenes(
         folder,

@@ -33,7 +33,7 @@ from playlearn.scenes import Scenes, draw_scenes, scene_sizes
 from playlearn.store import Store, open_store
 from playlearn.threads import limit
 from playlearn.training.config import TrainConfig, check_out, flattened, stored_threads
-from playlearn.training.examples import check_cameras, drawn_scenes, validation_batches, validation_scenes
+from playlearn.training.examples import check_cameras, rendered_scenes, validation_batches, validation_scenes
 
 
 def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
@@ -60,8 +60,8 @@ def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
         run.load()
     elif run.accelerator.is_main_process:
         run.describe()
-    run.correct()
-    run.draw()
+    run.make_corrections()
+    run.render_scenes()
     run.perceive()
     limit(threads)  # the makers of these may have set others
     with interruption_deferred() as interrupted, Progress("train", 100.0, "%", 100 * run.progress()) as progress:
@@ -134,7 +134,7 @@ class _Run:
             return cameras
         return {**cameras, **scene_sizes(self.store, encoder.observation_cameras)}
 
-    def draw(self) -> None:
+    def render_scenes(self) -> None:
         """Render the scenes that the config asks for, and train on them."""
         config, scenes = self.config, self.config.scenes
         if scenes is None:
@@ -144,15 +144,15 @@ class _Run:
             draw_scenes(scenes, self.store, out, config.policy.encoder.observation_cameras, folder)
         self.accelerator.wait_for_everyone()
         numbers, actions = self.store.indices(), len(self.spec.action_names)
-        drawn = drawn_scenes(config, folder, numbers[~out], actions)
+        drawn = rendered_scenes(config, folder, numbers[~out], actions)
         if scenes.fraction < 1:
             self.examples = mix_datasets(self.data, config.extra_datasets, config.seed, [(drawn, scenes.fraction)])
             return
         self.examples = drawn
         if out.any():
-            self.val = validation_scenes(config, drawn_scenes(config, folder, numbers[out], actions))
+            self.val = validation_scenes(config, rendered_scenes(config, folder, numbers[out], actions))
 
-    def correct(self) -> None:
+    def make_corrections(self) -> None:
         """Make the corrections that the config asks for, and train on them."""
         corrections = self.config.corrections
         if corrections is None:

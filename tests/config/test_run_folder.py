@@ -20,7 +20,7 @@ def test_a_missing_or_empty_folder_is_free(tmp_path: Path, resume: bool | None) 
 
 
 @pytest.mark.parametrize("resume", [True, False, None])
-def test_somebody_elses_folder_or_file_is_refused(tmp_path: Path, resume: bool | None) -> None:
+def test_another_folder_or_file_is_refused(tmp_path: Path, resume: bool | None) -> None:
     (tmp_path / "thesis.tex").touch()
     for taken in (tmp_path, tmp_path / "thesis.tex"):
         with pytest.raises(UsageError, match=r"holds no toy run \(no job\.json\): choose another --out"):

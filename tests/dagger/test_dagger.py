@@ -1,4 +1,4 @@
-"""Laws of DAgger's rounds, in a world in which everything takes milliseconds."""
+"""Laws of DAgger's rounds, in an environment in which everything takes milliseconds."""
 
 import json
 from dataclasses import replace
@@ -79,8 +79,8 @@ def go(config: DaggerConfig, run: Path, out: Path, **more: Any) -> dict[str, Any
     return dagger(config, run, out, workers=0, expert=point_expert, **more)
 
 
-def test_what_is_practiced_is_relabeled_by_the_goal_that_was_commanded(run: Path, tmp_path: Path) -> None:
-    """Every example's goal is the setup's, within what counts as reached, whatever the policy did on the way there."""
+def test_rollouts_are_relabeled_with_the_commanded_goal(run: Path, tmp_path: Path) -> None:
+    """Every example's goal is the episode's, within what counts as reached, whatever the policy did on the way."""
     rule = InterventionRule(0.0, 8, NoGateConfig(), (5, 20))
     spec = RolloutSpec(
         SUITE, TrainedRecipe(run, "state", 2), point_expert, rule, seed=5, finish_steps=60, success_hold_steps=4
@@ -119,7 +119,7 @@ def test_an_expert_that_does_not_finish_is_counted_and_leaves_nothing(run: Path,
 
 
 @pytest.mark.slow
-def test_further_play_that_the_run_learned_from_is_kept_in_its_shares(run: Path, tmp_path: Path) -> None:
+def test_extra_datasets_of_the_run_keep_their_fractions(run: Path, tmp_path: Path) -> None:
     go(described(run, rounds=1), run, tmp_path / "first")
     go(described(run, rounds=1, fraction=0.2), tmp_path / "first", tmp_path / "second")
     before, gathered = load_config(TrainConfig, tmp_path / "second/config.yaml").extra_datasets
@@ -164,10 +164,10 @@ def test_rounds(run: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_killed_round_is_gone_on_with_and_those_before_it_are_not_repeated(
+def test_a_killed_round_is_resumed_and_those_before_it_are_not_repeated(
     run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Killed in round 2, once in practice and once before it is judged; what comes of it in the end is the same."""
+    """Killed in round 2, once in its rollouts and once before its evaluation; the result is the same."""
     config, broken = described(run), tmp_path / "broken"
     whole = go(config, run, tmp_path / "whole")
 
@@ -180,7 +180,7 @@ def test_a_killed_round_is_gone_on_with_and_those_before_it_are_not_repeated(
         return plain(*arguments, **more)
 
     def set_up(spec: Any, numbers: Any, *others: Any) -> Any:
-        if numbers[0] == 10:  # the second cohort of round 2
+        if numbers[0] == 10:  # the second batch of round 2
             raise Killed
         return drawn(spec, numbers, *others)
 
@@ -202,28 +202,28 @@ def test_a_killed_round_is_gone_on_with_and_those_before_it_are_not_repeated(
     assert all(torch.equal(one[name], other[name]) for name in one)
 
 
-@pytest.mark.parametrize("control", [pytest.param("play", marks=pytest.mark.slow), "noise"])
-def test_a_control_adds_as_many_steps_of_play(
-    control: str, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("baseline", [pytest.param("play", marks=pytest.mark.slow), "noise"])
+def test_a_baseline_adds_as_many_steps_of_play(
+    baseline: str, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At least those of the run it is like, less than an episode more; its play is that of the run but for noise."""
+    """At least those of the matched run, less than an episode more; its play is that of the run but for noise."""
     played: list[PlayConfig] = []
 
-    def player(_env: Any, config: PlayConfig) -> PointPlayPolicy:
+    def play_policy(_env: Any, config: PlayConfig) -> PointPlayPolicy:
         played.append(config)
-        return PointPlayPolicy()  # this one's hand must not tremble: it would grasp nothing
+        return PointPlayPolicy()  # without noise: with it, it would grasp nothing
 
-    monkeypatch.setattr("playlearn.collection.job.play_policy_for", player)
+    monkeypatch.setattr("playlearn.collection.job.play_policy_for", play_policy)
     save_config(CollectConfig(environment=PointConfig(), steps=150, seed=3), run.parent / "play" / "collect.yaml")
-    (tmp_path / "like").mkdir()
+    (tmp_path / "matched").mkdir()
     rows = [{"round": 0}, {"round": 1, "frames": 500}, {"round": 2, "frames": 160}]
-    (tmp_path / "like" / "results.json").write_text(json.dumps({"rounds": rows}))
+    (tmp_path / "matched" / "results.json").write_text(json.dumps({"rounds": rows}))
     out = tmp_path / "out"
-    results = go(described(run, gather={"type": control, "match_steps_of": str(tmp_path / "like")}), run, out)
+    results = go(described(run, gather={"type": baseline, "match_steps_of": str(tmp_path / "matched")}), run, out)
     assert [row["labels"] for row in results["rounds"][1:]] == [0, 0]
     for row, wanted in zip(results["rounds"][1:], (500, 160), strict=True):
         assert wanted <= row["frames"] < wanted + 150
-    assert {config.noise for config in played} == {0.5 if control == "noise" else PlayConfig().noise}
+    assert {config.noise for config in played} == {0.5 if baseline == "noise" else PlayConfig().noise}
     stores = [NativeStore.open(out / "rounds" / str(number) / "play") for number in (1, 2)]
     firsts = {tuple(store.array(0, "sim.state")[0]) for store in stores}
     assert len(firsts) == 2, "each round plays anew"
@@ -234,7 +234,7 @@ def test_a_control_adds_as_many_steps_of_play(
     )
     with pytest.raises(UsageError, match="has 2 rounds"):
         go(
-            described(run, gather={"type": control, "match_steps_of": str(tmp_path / "like")}, rounds=3),
+            described(run, gather={"type": baseline, "match_steps_of": str(tmp_path / "matched")}, rounds=3),
             run,
             tmp_path / "more",
         )
@@ -288,7 +288,7 @@ def test_shipped_configs_are_whole(path: Path) -> None:
 
 
 def gained(run: Path, out: Path, seed: int) -> float:
-    """By how much two rounds of practice raise the share of 20 goals that a policy of 30 updates reaches."""
+    """By how much two rounds of DAgger raise the success rate, on 20 goals, of a policy of 30 updates."""
     out.mkdir()
     save_config(replace(SUITE, episodes=20, num_envs=20), out / "suite.yaml")
     config = described(

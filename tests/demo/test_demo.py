@@ -1,4 +1,4 @@
-"""Laws of the demo: stages that are done once, side by side, estimated, and judged."""
+"""Laws of the demo: stages that are done once, side by side, estimated, and checked."""
 
 import json
 import sys
@@ -106,7 +106,7 @@ class Commands:
         self, commands: Mapping[str, Sequence[str]], say: Callable[[str], None], tick: Callable[[], None], **_: object
     ) -> dict[str, Done]:
         self.called.append(sorted(commands))
-        self.given |= {name: list(words) for name, words in commands.items()}
+        self.given |= {name: list(arguments) for name, arguments in commands.items()}
         if "policy" in commands:
             for name, loss in self.losses.items():
                 metrics(self.out / name, 1.0, loss, every=50)
@@ -130,29 +130,29 @@ def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., tuple[
     monkeypatch.setattr(job, "available_cores", lambda: 2)
 
     def go(steps: int | None = None, **how: float) -> tuple[Commands, list[str]]:
-        fake, said = Commands(tmp_path / "demo", **how), list[str]()
+        fake, printed = Commands(tmp_path / "demo", **how), list[str]()
         monkeypatch.setattr(job, "run_together", fake)
         costs = {name: Cost(simulation=10, learning=20) for name in STAGES}
         config = DemoConfig(state_loss=0.1, encoder_loss=0.5, costs=costs)
         try:
-            demo(config, tmp_path / "demo", steps=steps, say=said.append)
+            demo(config, tmp_path / "demo", steps=steps, say=printed.append)
         except PlaylearnError as error:
-            said.append(f"ERROR {error}")
-        return fake, said
+            printed.append(f"ERROR {error}")
+        return fake, printed
 
     return go
 
 
 def test_every_stage_is_done_once(run: Callable[..., Any], tmp_path: Path) -> None:
-    first, said = run()
+    first, printed = run()
     assert first.called == [["film", "play"], ["encoder", "policy"], ["dagger"], ["eval"]]
     record = json.loads((tmp_path / "demo" / "demo.json").read_text())
     assert list(record["stages"]) == list(STAGES)
     assert record["stages"]["learn"]["core_seconds"] == {"policy": 3.0, "encoder": 3.0}
-    assert any("preview/report.html" in line for line in said), "the film is named while play is collected"
-    again, said = run()
+    assert any("preview/report.html" in line for line in printed), "the film is announced while play is collected"
+    again, printed = run()
     assert again.called == []
-    assert sum("done already" in line for line in said) == len(STAGES)
+    assert sum("done already" in line for line in printed) == len(STAGES)
 
 
 def test_one_that_was_interrupted_in_its_first_stage_goes_on(
@@ -171,16 +171,16 @@ def test_one_that_was_interrupted_in_its_first_stage_goes_on(
         costs = {name: Cost(simulation=10, learning=20) for name in STAGES}
         with pytest.raises(KeyboardInterrupt):
             demo(DemoConfig(state_loss=0.1, encoder_loss=0.5, costs=costs), tmp_path / "demo", say=lambda _: None)
-    fake, said = run()
+    fake, printed = run()
     assert len(fake.called) == len(STAGES)
-    assert not said[-1].startswith("ERROR")
+    assert not printed[-1].startswith("ERROR")
 
 
 def test_the_time_is_estimated_from_the_reference(run: Callable[..., Any]) -> None:
     """10 times 2 s and 20 times 1 s of core are 20 s on two cores, for each of four stages."""
-    _, said = run()
-    assert any("learn" in line and "about 20 s" in line for line in said)
-    assert any("all" in line and "about 80 s, on 2 cores" in line for line in said)
+    _, printed = run()
+    assert any("learn" in line and "about 20 s" in line for line in printed)
+    assert any("all" in line and "about 80 s, on 2 cores" in line for line in printed)
 
 
 @pytest.mark.parametrize(
@@ -194,10 +194,10 @@ def test_the_time_is_estimated_from_the_reference(run: Callable[..., Any]) -> No
 def test_a_stage_that_came_to_nothing_ends_in_an_error(
     how: dict[str, float], stages: int, message: str, run: Callable[..., Any]
 ) -> None:
-    fake, said = run(**how)
+    fake, printed = run(**how)
     assert len(fake.called) == stages
-    assert message in said[-1]
-    assert said[-1].startswith("ERROR")
+    assert message in printed[-1]
+    assert printed[-1].startswith("ERROR")
 
 
 def test_fewer_updates_are_handed_on(run: Callable[..., Any]) -> None:
@@ -209,8 +209,8 @@ def test_fewer_updates_are_handed_on(run: Callable[..., Any]) -> None:
 
 def test_another_config_or_a_strange_folder_is_refused(run: Callable[..., Any], tmp_path: Path) -> None:
     run()
-    _, said = run(steps=7)
-    assert "begun with another steps" in said[-1]
+    _, printed = run(steps=7)
+    assert "begun with another steps" in printed[-1]
     (tmp_path / "strange").mkdir()
     (tmp_path / "strange" / "x").touch()
     with pytest.raises(UsageError, match="holds no demo"):

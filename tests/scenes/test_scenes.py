@@ -28,7 +28,7 @@ EACH = 6
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> NativeStore:
-    """Play of the point world, recorded without images."""
+    """Play of PointEnv, recorded without images."""
     path = tmp_path_factory.mktemp("scenes") / "play"
     play(path)
     return NativeStore.open(path)
@@ -37,7 +37,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> NativeStore:
 def drawn(store: NativeStore, folder: Path, out: list[int], **more: float) -> Scenes:
     config = ScenesConfig(per_episode=EACH, **more)  # type: ignore[arg-type]
     val_mask = np.isin(np.arange(len(store)), out)
-    draw_scenes(config, store, val_mask, CAMERAS, folder, workers=0)  # others do not know this world
+    draw_scenes(config, store, val_mask, CAMERAS, folder, workers=0)  # other processes do not know this environment
     return shown(store, folder)
 
 
@@ -47,15 +47,15 @@ def shown(store: NativeStore, folder: Path) -> Scenes:
 
 def test_scenes_of_an_episode_do_not_depend_on_who_draws_what_before(store: NativeStore, tmp_path: Path) -> None:
     """So that any number of workers leaves the same files."""
-    alone = drawn(store, tmp_path / "alone", [0])
-    names = sorted(path.name for path in (tmp_path / "alone" / "episodes").iterdir())
+    single = drawn(store, tmp_path / "single", [0])
+    names = sorted(path.name for path in (tmp_path / "single" / "episodes").iterdir())
     assert len(names) == len(store)
-    assert len(alone) == EACH * len(store)
-    whole = {name: (tmp_path / "alone" / "episodes" / name).read_bytes() for name in names}
+    assert len(single) == EACH * len(store)
+    whole = {name: (tmp_path / "single" / "episodes" / name).read_bytes() for name in names}
     for position in reversed(range(len(store))):
         rearranged = 0.0 if position == 0 else 0.5
-        draw(str(store.path), str(tmp_path / "alone"), int(store.indices()[position]), rearranged)
-    assert {name: (tmp_path / "alone" / "episodes" / name).read_bytes() for name in names} == whole
+        draw(str(store.path), str(tmp_path / "single"), int(store.indices()[position]), rearranged)
+    assert {name: (tmp_path / "single" / "episodes" / name).read_bytes() for name in names} == whole
 
 
 def test_an_interrupted_drawing_goes_on_and_other_settings_are_refused(store: NativeStore, tmp_path: Path) -> None:
