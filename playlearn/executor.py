@@ -1,7 +1,7 @@
 """The same seed-keyed jobs, on one core or many: results never depend on how many workers there are.
 
-A worker is a process that lives as long as the run, so a job's function may keep what is dear to
-build (a simulator, a policy) in a `functools.cache`. Each has one thread for numerics and one for
+A worker is a process that lives as long as the run, so a job's function may cache what is slow to
+build (a simulator, a policy). Each has one thread for numerics and one for
 software GL: many processes of one thread are quicker than one of many, and sums come out alike.
 """
 
@@ -28,7 +28,7 @@ from playlearn.errors import PlaylearnError, UsageError
 from playlearn.threads import environment, limit, with_environment
 
 START = 120.0  # seconds beyond a job's own that a worker may take to be there and to import what it needs
-_BEGUN = None  # what a worker says before it does a job
+_BEGUN = None  # what a worker sends before it does a job
 
 
 class LostError(PlaylearnError):
@@ -37,7 +37,7 @@ class LostError(PlaylearnError):
     def __init__(self, job: "Job", tries: int, why: str) -> None:
         super().__init__(
             f"job {job.key} (seed {job.seed}) was lost {tries} times: its worker process {why}. "
-            "Is memory short (dmesg tells)? Run it alone with --workers 1, or with --workers 0 to see it fail here."
+            "Is memory short (see dmesg)? Run only it with --workers 1, or with --workers 0 to see it fail here."
         )
         self.why = f"its worker process {why} (tries: {tries})"
 
@@ -107,9 +107,9 @@ class ExecutorConfig(draccus.ChoiceRegistry):
 class LocalExecutorConfig(ExecutorConfig):
     """Processes of this machine.
 
-    workers: how many (null: one for each core this process may use; 0: none, in this very process).
-    timeout: seconds after its beginning after which a job counts as hung (null: never). retries: further
-    tries of a job whose worker was lost.
+    workers: how many (null: one for each core this process may use; 0: none, in this process).
+    timeout: seconds after its start after which a job counts as hung (null: never).
+    retries: further tries of a job whose worker was lost.
     """
 
     workers: int | None = None
@@ -188,10 +188,10 @@ class LocalExecutor:
                         raise result.error
                     yield result
         finally:
-            self._let_go()  # also the way out of Ctrl-C and of a caller that stops listening
+            self._let_go()  # also after Ctrl-C, or when the caller stops iterating
 
     def _let_go(self) -> None:
-        """Dismiss the crew; inside a `with` block only those that are in the middle of something."""
+        """Stop the workers; inside a `with` block only those that are busy."""
         leaving = [worker for worker in self._workers if not self._keep or worker.task is not None]
         self._workers = [worker for worker in self._workers if worker not in leaving]
         _stop(leaving)
@@ -259,8 +259,8 @@ class _Worker:
         self._silent = False
 
     def start(self, task: _Task) -> None:
-        self.task, task.started = task, time.perf_counter() + START  # until it says that it has begun
-        # One that died while idle: its sentinel says so, and the job is handed out again.
+        self.task, task.started = task, time.perf_counter() + START  # until it reports that it has begun
+        # One that died while idle: its sentinel shows it, and the job is handed out again.
         with suppress(BrokenPipeError, ConnectionResetError):
             self.pipe.send((task.job.function, dict(task.job.kwargs)))
 
@@ -291,7 +291,7 @@ class _Worker:
         return f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
 
     def stop(self) -> None:
-        """Tell an idle worker to go home; stop one that is still busy."""
+        """Let an idle worker end; terminate one that is still busy."""
         try:
             if self.task is None:
                 self.pipe.send(None)
@@ -312,10 +312,10 @@ def _stop(workers: list[_Worker]) -> None:
 
 
 def _serve(pipe: Connection) -> None:
-    """A worker's life: do jobs until told to stop or until the parent is gone."""
+    """A worker's main loop: do jobs until asked to stop or until the parent is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    faulthandler.enable()  # a crash in compiled code says where it was
+    faulthandler.enable()  # a crash in compiled code prints a traceback
     threading.Thread(target=_die_with_parent, daemon=True).start()
     while True:
         try:
@@ -336,7 +336,7 @@ def _serve(pipe: Connection) -> None:
 
 
 def _die_with_parent() -> None:
-    """A killed parent leaves nobody behind who would still write where somebody else may write by now."""
+    """End with a killed parent: an orphan would still write where another run may write by now."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])
@@ -363,7 +363,7 @@ def _portable(error: Exception) -> Exception:
 
 @contextmanager
 def _ctrl_c_held_back() -> Iterator[None]:
-    """A process started here begins with SIGINT blocked: until it ignores it, nothing can strike it."""
+    """A process started here begins with SIGINT blocked: until it ignores it, no Ctrl-C can end it."""
     resource_tracker.ensure_running()  # starting a process starts that first, which would unblock SIGINT
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -374,7 +374,7 @@ def _ctrl_c_held_back() -> Iterator[None]:
 
 @contextmanager
 def interruption_deferred() -> Iterator[threading.Event]:
-    """Turn the first Ctrl-C into an event, so that no update is cut in half; the second one strikes as usual."""
+    """Turn the first Ctrl-C into an event, so that no update is cut in half; the second one acts as usual."""
     asked = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield asked

@@ -1,7 +1,7 @@
-"""One actor, K worlds in lockstep, one goal each -> K outcomes; the only loop that steps a world.
+"""One actor, K environments in lockstep, one goal each -> K outcomes; the only loop that steps an environment.
 
-Lockstep exists so that a policy can plan for many worlds in one batch. What happens in one world
-depends on its own state, goal and seed alone, never on which of the others are still running.
+Lockstep lets a policy plan for many environments in one batch. What happens in one environment depends only on its own
+state, goal and seed, never on which of the others are still running.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,9 +21,11 @@ __all__ = ["LENGTH", "STOPPED", "Actor", "Outcome", "RandomActor", "rollout"]
 class Outcome:
     """How one environment's rollout went.
 
-    episode: what was recorded, None where it ended before the first action. ended: "length",
-    "stopped" (by `stop`), what `Environment.failure` said, "diverged: ..." or "refused: ..." (an
-    action that is none). steps: actions executed. final: the last observation of a sound world.
+    episode: what was recorded, None where it ended before the first action.
+    ended: "length", "stopped" (by `stop`), what `Environment.failure` returned, "diverged: ..." or "refused: ..." (an
+        invalid action).
+    steps: actions executed.
+    final: the last observation of a sound environment.
     """
 
     episode: Episode | None
@@ -48,13 +50,13 @@ def rollout(
 ) -> list[Outcome]:
     """Let `actor` drive every environment from the state it is in, each until it ends.
 
-    An environment ends when it fails (`Environment.failure`), diverges, is given an action that it
-    refuses, when `stop(k, observation)` says so (asked after every step), or after `max_steps`.
-    The K seeds are the actor's randomness; actors that need no goal are given None.
+    An environment ends when it fails (`Environment.failure`), diverges, refuses an action, when
+    `stop(k, observation)` returns True (called after every step), or after `max_steps`.
 
-    `cameras` are what the episodes record; the actor's own cameras are seen without being kept, and
-    each is rendered at most once a step. Simulator states are always recorded, so that any other
-    picture can be rendered afterwards.
+    goals: K goals; None for actors that need no goal.
+    seeds: K seeds, of the actor's randomness.
+    cameras: what the episodes record. The actor's own cameras are rendered without being kept, each at most once a
+        step. Simulator states are always recorded, so any other image can be rendered later.
 
     Returns K outcomes, in the order of the environments.
     """
@@ -83,7 +85,7 @@ def rollout(
 
 
 def _step(take: "_Take", decision: Decision, cameras: Sequence[str]) -> str | None:
-    """One control period of one world; why it ended, or None."""
+    """One control period of one environment; why it ended, or None."""
     action = np.array(decision.action, dtype=np.float32)  # as it is recorded, so that the recording replays exactly
     try:
         take.environment.step(action)
@@ -98,7 +100,7 @@ def _step(take: "_Take", decision: Decision, cameras: Sequence[str]) -> str | No
 
 @dataclass
 class _Take:
-    """The recording of one world while it runs."""
+    """The recording of one environment while it runs."""
 
     environment: Environment
     latest: Observation
@@ -118,7 +120,7 @@ class _Take:
         self._keep(observation)
 
     def _keep(self, observation: Observation) -> None:
-        # Copies: a world may hand out views of arrays that its next step overwrites.
+        # Copies: an environment may return views of arrays that its next step overwrites.
         images = {camera: np.array(observation.images[camera]) for camera in self.cameras}
         state = np.array(observation.state, dtype=np.float32)
         achieved = np.array(observation.achieved, dtype=np.float32)
@@ -136,7 +138,7 @@ class _Take:
         skills = tuple(sorted({decision.skill for decision in self.decisions}))
         sizes = {camera: self.observations[0].images[camera].shape[:2] for camera in self.cameras}
         meta = EpisodeMeta(
-            environment={"type": config.get_choice_name(type(config)), **to_dict(config)},
+            environment=to_dict(config),
             state_names=tuple(spec.state_names),
             achieved_names=tuple(spec.achieved_names),
             action_names=tuple(spec.action_names),
@@ -165,10 +167,9 @@ class _Take:
 
 
 class RandomActor:
-    """Chance: every action dimension an AR(1) process with spread `scale`, clipped to [-1, 1].
+    """A random policy: every action dimension is an AR(1) process with std `scale`, clipped to [-1, 1].
 
-    Consecutive actions are correlated by `smoothness`, so that the arm wanders instead of
-    trembling on the spot.
+    smoothness: correlation of consecutive actions, so that the arm wanders instead of jittering in place.
     """
 
     name = "random"

@@ -1,7 +1,7 @@
-"""How many threads a process computes with: torch, BLAS, numba and software GL alike, one unless a job says otherwise.
+"""How many threads a process computes with: torch, BLAS, numba and software GL alike, one unless a job sets more.
 
-A thread a core is quicker on an idle machine, and far slower as soon as anything else runs: the threads of one
-operation wait for the one that is not being run. Several processes of one thread each use the cores better, and what
+One thread for each core is faster on an idle machine, and far slower as soon as anything else runs: the threads of one
+operation wait for the one that is not scheduled. Several processes of one thread each use the cores better, and what
 they compute depends neither on the number of cores nor on how many processes there are.
 """
 
@@ -44,20 +44,20 @@ def with_environment(variables: Mapping[str, str]) -> Iterator[None]:
 def limit(threads: int = 1) -> None:
     """Let this process compute with so many threads, and the processes that it starts from now on.
 
-    What is not imported yet reads the environment when it is; what is there already is told by its own functions:
-    torch, numba (for the calling thread), and every OpenBLAS (these are found on Linux only). Operations beside each
-    other (torch's inter-op threads) always have one, as nothing here uses more; no variable says so, which is why this
-    is called again once torch is there. llvmpipe reads its variable when the first context is made.
+    A library that is not imported yet reads the environment later. One that is gets the number through its own
+    functions: torch, numba (for the calling thread), and every OpenBLAS (found on Linux only). torch's inter-op threads
+    are always one, as nothing here uses more; no variable sets them, so this is called again once torch is imported.
+    llvmpipe reads its variable when the first context is made.
     """
     torch, numba = sys.modules.get("torch"), sys.modules.get("numba")
     variables = environment(threads)
-    if numba is not None:  # it reads its variable again with every compilation, and refuses another number
+    if numba is not None:  # it reads its variable with every compilation, and refuses another number
         del variables["NUMBA_NUM_THREADS"]
     os.environ.update(variables)
     if torch is not None:
         torch.set_num_threads(threads)
         if torch.get_num_interop_threads() != 1:
-            with suppress(RuntimeError):  # who called before us has used them: they are there
+            with suppress(RuntimeError):  # they were used before, so their number is fixed
                 torch.set_num_interop_threads(1)
     if numba is not None and numba.config.NUMBA_NUM_THREADS > 1:  # as many as it was imported with; fewer can be used
         numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
@@ -68,7 +68,7 @@ def limit(threads: int = 1) -> None:
 def in_force() -> dict[str, int]:
     """Threads of everything numerical that is loaded: `torch`, `torch_interop`, `numba`, `openblas` (the most of all).
 
-    To be asked at the end: numba starts its threads in order to count them.
+    Call it last: numba starts its threads in order to count them.
     """
     found: dict[str, int] = {}
     if "torch" in sys.modules:
@@ -87,7 +87,7 @@ def _openblas() -> Iterator[tuple[Callable[[int], Any], Callable[[], Any]]]:
     """Of each OpenBLAS in this process, how its threads are set and asked for."""
     if not _MAPS.exists():
         return
-    # Thousands of lines, and every job asks: only those of a file of such a name are taken apart.
+    # Thousands of lines, read for every job: only those of a file of such a name are parsed.
     lines = _MAPS.read_text(encoding="utf-8", errors="replace").splitlines()
     files = {line.split(maxsplit=5)[5] for line in lines if "openblas" in line.rpartition("/")[2]}
     for file in sorted(files):

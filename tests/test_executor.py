@@ -86,7 +86,7 @@ def test_results_are_the_same_for_any_number_of_workers() -> None:
 
 
 def test_workers_live_on_and_are_single_threaded() -> None:
-    """Two jobs on one worker share its process, which is not ours and computes on one thread."""
+    """Two jobs on one worker share its process, which is not this one and computes on one thread."""
     jobs = [Job(key=k, function=process_and_threads) for k in range(2)]
     (first, threads), (second, _) = (result.value for result in local(1).build().run(jobs))
     assert first == second != os.getpid()
@@ -94,9 +94,9 @@ def test_workers_live_on_and_are_single_threaded() -> None:
 
 
 def test_in_a_with_block_workers_live_on_between_runs() -> None:
-    """The second run finds the first one's process, and nobody is left when the block ends."""
-    with local(1).build() as crew:
-        first, second = (next(crew.run([Job(0, process_and_threads)])).value[0] for _ in range(2))
+    """The second run finds the first one's process, and no process is left when the block ends."""
+    with local(1).build() as executor:
+        first, second = (next(executor.run([Job(0, process_and_threads)])).value[0] for _ in range(2))
         assert first == second
     with pytest.raises(ProcessLookupError):
         os.kill(first, 0)
@@ -118,21 +118,21 @@ def test_a_lost_workers_job_runs_again(tmp_path: Path) -> None:
 def test_a_job_lost_too_often_is_named(tmp_path: Path) -> None:
     marks = tmp_path / "marks"
     marks.mkdir()
-    job = Job("cohort 4", die_until, {"marks": str(marks), "times": 9}, seed=77)
-    with pytest.raises(LostError, match=r"cohort 4 \(seed 77\).*3 times.*SIGKILL"):
+    job = Job("batch 4", die_until, {"marks": str(marks), "times": 9}, seed=77)
+    with pytest.raises(LostError, match=r"batch 4 \(seed 77\).*3 times.*SIGKILL"):
         list(local(2).build().run([job]))
     assert len(list(marks.iterdir())) == 3, "the first try and two more"
 
 
 @pytest.mark.parametrize(
-    ("job", "words"), [(Job(0, leave, {"code": 3}), "exit code 3"), (Job(0, crash), "SIGSEGV")], ids=["exit", "crash"]
+    ("job", "how"), [(Job(0, leave, {"code": 3}), "exit code 3"), (Job(0, crash), "SIGSEGV")], ids=["exit", "crash"]
 )
-def test_how_a_worker_ended_is_told(job: Job, words: str, capfd: pytest.CaptureFixture[str]) -> None:
+def test_how_a_worker_ended_is_reported(job: Job, how: str, capfd: pytest.CaptureFixture[str]) -> None:
     """What crashes in compiled code also says where: its Python stack."""
-    with pytest.raises(LostError, match=words) as raised:
+    with pytest.raises(LostError, match=how) as raised:
         list(local(1, retries=0).build().run([job]))
-    assert words in raised.value.why
-    assert ("in crash" in capfd.readouterr().err) == (words == "SIGSEGV")
+    assert how in raised.value.why
+    assert ("in crash" in capfd.readouterr().err) == (how == "SIGSEGV")
 
 
 @pytest.mark.slow
@@ -185,7 +185,7 @@ def test_a_caller_that_stops_listening_leaves_no_process_behind() -> None:
 
 
 def alive(process: int) -> bool:
-    """Whether it still runs; one that is over may stay listed where nobody asks how it ended."""
+    """Whether it still runs; one that has ended stays listed until its exit code is read."""
     try:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:

@@ -1,4 +1,4 @@
-"""Laws of the one loop that steps a world."""
+"""Laws of the one loop that steps an environment."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -63,12 +63,12 @@ def test_an_episode_replays_to_itself() -> None:
 
 
 def test_a_row_does_not_depend_on_its_neighbors() -> None:
-    """World 1 goes the same way alone, and beside others that end early."""
-    alone = recorded(run([env(1)], PointPlayPolicy(noise=0.3), seeds=[101], max_steps=40)[0])
+    """Environment 1 goes the same way by itself and beside others that end early."""
+    single = recorded(run([env(1)], PointPlayPolicy(noise=0.3), seeds=[101], max_steps=40)[0])
     together = run([env(0), env(1), env(2)], PointPlayPolicy(noise=0.3), max_steps=40, stop=lambda k, _: k != 1)
     assert [outcome.steps for outcome in together] == [1, 40, 1]
     for key, values in recorded(together[1]).arrays().items():
-        np.testing.assert_array_equal(values, alone.arrays()[key])
+        np.testing.assert_array_equal(values, single.arrays()[key])
 
 
 def test_the_label_is_kept_beside_what_was_executed() -> None:
@@ -135,7 +135,7 @@ def test_a_nan_action_is_refused_before_it_does_damage() -> None:
 
 
 def test_the_expert_reaches_its_goal() -> None:
-    """The fake is a world in which goals can be reached, or tests that build on it would show nothing."""
+    """Goals can be reached in the fake environment, or tests that build on it would show nothing."""
     environment = env(3)
     goal = np.array([0.5, -0.5, 1.0], dtype=np.float32)
     outcome = rollout([environment], PointExpert(), [Goal(goal)], seeds=[0], max_steps=100)[0]

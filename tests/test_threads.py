@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numba  # noqa: F401 - as in a worker that steps a world
+import numba  # noqa: F401 - as in a worker that steps an environment
 import numpy as np
 import pytest
 import scipy.linalg
@@ -44,7 +44,7 @@ def figures(_size: Size) -> Iterator[Figure]:
         yield Figure(name, count, "threads")
 
 
-def said(code: str) -> Any:
+def printed(code: str) -> Any:
     """What a fresh process prints, started where three threads are the custom."""
     done = subprocess.run([sys.executable, "-c", code], env=MANY, capture_output=True, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1])
@@ -64,7 +64,7 @@ def test_what_is_imported_already_is_limited_too(threads: int) -> None:
         "batches = prepared_ahead(lambda _: in_force(), 0); there = next(batches); batches.close()\n"
         "print(json.dumps([before, in_force(), there]))\n"
     )
-    before, here, there = said(code)
+    before, here, there = printed(code)
     assert (before["torch"], before["numba"]) == (3, 3)
     assert here == {"torch": threads, "torch_interop": 1, "numba": threads, "openblas": threads}
     assert {**there, "numba": threads} == here
@@ -85,13 +85,13 @@ def test_what_a_command_imports_is_limited() -> None:
         "cli.doctor.VERB = replace(cli.doctor.VERB, run=command)\n"
         "raise SystemExit(cli.main(['doctor']))\n"
     )
-    found = said(code)
+    found = printed(code)
     del found["torch_interop"]  # of which no variable speaks: commands that use torch limit it, see below
     assert found == {"torch": 1, "numba": 1, "openblas": 1}
 
 
 @pytest.mark.parametrize(
-    ("job", "words"),
+    ("job", "command"),
     [
         ("playlearn.evaluation.evaluate", "eval --policy expert --suite s --goal state --out o"),
         ("playlearn.evaluation.diagnosis.diagnose", "diagnose --run r --suite s --goal state --out o"),
@@ -105,17 +105,17 @@ def test_what_a_command_imports_is_limited() -> None:
     ],
 )
 @pytest.mark.usefixtures("three")
-def test_every_job_begins_with_one_thread(job: str, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_job_begins_with_one_thread(job: str, command: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where torch and BLAS are there already and have three."""
     counts: list[dict[str, int]] = []
 
     def begun(*_: Any, **__: Any) -> None:
         counts.append({"torch": torch.get_num_threads(), "software_gl": int(os.environ["LP_NUM_THREADS"])})
-        raise KeyboardInterrupt  # it has told what it was asked for
+        raise KeyboardInterrupt  # it has recorded what was asked for
 
     monkeypatch.setattr(job, begun)
     monkeypatch.chdir(ROOT)
-    assert cli.main(words.split()) == 130
+    assert cli.main(command.split()) == 130
     assert counts == [{"torch": 1, "software_gl": 0}]
 
 

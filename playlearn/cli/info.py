@@ -39,13 +39,11 @@ def run(arguments: argparse.Namespace) -> int:
     for problem in problems:
         print(f"playlearn: {problem}", file=sys.stderr)
     if arguments.report:
-        from playlearn.collection.env import env
-        from playlearn.config import from_dict
+        from playlearn.process_cache import cached_env_of
         from playlearn.report.store_report import write_report
-        from playlearn.sim import EnvironmentConfig
 
         for path in arguments.report:
-            write_report(store, path, lambda: env(from_dict(EnvironmentConfig, dict(store.spec.environment))))
+            write_report(store, path, lambda: cached_env_of(store))
             print(f"report  {path}", file=sys.stderr)
     return FAILED if problems else DONE
 

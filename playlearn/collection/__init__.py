@@ -1,4 +1,4 @@
-"""Recording play: by scripted players on all cores, by a person with a device, and its images drawn afterwards."""
+"""Recording play: by a scripted play policy on all cores or by a person with a device; rendering its images later."""
 
 from playlearn.collection.config import CollectConfig, episode_seed
 from playlearn.collection.job import collect, collect_one, play, record

@@ -1,4 +1,4 @@
-"""What a collection is made from, and what of it decides the episodes."""
+"""The config of a collection, and which of its fields decide the episodes."""
 
 import math
 from dataclasses import dataclass, field
@@ -12,18 +12,22 @@ from playlearn.errors import UsageError
 from playlearn.oracles import PlayConfig, PlayPolicyConfig
 from playlearn.sim import EnvironmentConfig
 
-_FREE = ("episodes", "timeout")  # say nothing about what is in an episode
+_FREE = ("episodes", "timeout")  # do not change what is in an episode
 
 
 @dataclass(frozen=True)
 class CollectConfig:
-    """environment: where to play. play: how. episodes: how many, each of at most `steps` control steps.
+    """A collection of play.
 
-    cameras: which of the environment's cameras to record; none is quickest, and `playlearn render`
-    draws them later from the simulator states, which are always recorded.
+    environment: where to play.
+    play: the play policy.
+    episodes: how many.
+    steps: control steps of an episode at most.
+    cameras: which of the environment's cameras to record; none is fastest, and `playlearn render` renders them later
+        from the simulator states, which are always recorded.
     seed: with an episode's number it decides everything in that episode.
-    timeout: seconds after which a worker that still plays the same episode counts as hung and is replaced
-    (null: see `limit`; .inf: never).
+    timeout: seconds after which a worker that still plays the same episode counts as hung and is replaced (null: see
+        `limit`; .inf: never).
     """
 
     environment: EnvironmentConfig = field(default_factory=PlayTableConfig)

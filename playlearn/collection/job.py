@@ -1,4 +1,4 @@
-"""Record play into a store: episode by episode, on all cores, whatever happens to one of them."""
+"""Record play into a store, episode by episode, on all cores; one that fails does not stop the others."""
 
 import dataclasses
 import faulthandler
@@ -14,35 +14,36 @@ from pathlib import Path
 import numpy as np
 
 from playlearn.collection.config import CollectConfig, episode_seed
-from playlearn.collection.env import RESOLVED, begin, env, forget_envs
+from playlearn.collection.store import RESOLVED, begin
 from playlearn.config import from_dict
 from playlearn.episode import Episode
 from playlearn.errors import PlaylearnError, RenderError, StoreError, UsageError
 from playlearn.executor import Job, LocalExecutorConfig, LostError, Result
 from playlearn.oracles import play_policy_for
+from playlearn.process_cache import cached_env, forget_envs
 from playlearn.report.progress import Progress
 from playlearn.rollout import rollout
 from playlearn.store import write_episode
 
-_OF_ALL = (UsageError, StoreError, RenderError, OSError)  # what would befall every other episode too
+_OF_ALL = (UsageError, StoreError, RenderError, OSError)  # what every other episode would raise too
 _GIVE_UP = 10  # failures in a row after which the rest is not tried
 _STDERR = 2
-_NAMED = 10  # failures in the last message; the others were told when they happened
+_NAMED = 10  # failures in the last message; all were printed when they happened
 
 
 def collect(config: CollectConfig, out: Path, *, workers: int | None = None, resume: bool = False) -> None:
     """Record episodes 0 ... episodes-1 into the store at `out`; with `resume`, those that are missing.
 
     The same seed gives the same episodes, whatever the number of workers and interruptions. An episode
-    that fails is told, and the others are played all the same.
+    that fails is reported, and the others are still played.
 
     Raises:
-        UsageError: `out` was collected with another config; an unknown camera.
+        UsageError: `out` was begun with another config; an unknown camera.
         StoreError: `out` holds something already and `resume` was not asked for; the disk is full.
-        PlaylearnError: episodes that failed, with the command that plays each again alone.
+        PlaylearnError: episodes failed; gives the command that plays each of them by itself.
     """
-    environment = env(config.environment)
-    play_policy_for(environment, config.play)  # a kind of skill that nobody offers is said now, not in a worker
+    environment = cached_env(config.environment)
+    play_policy_for(environment, config.play)  # an unknown kind of skill fails now, not in a worker
     store = begin(config, environment, out, resume=resume)
     with store.writer():
         done = set(store.indices().tolist())
@@ -60,15 +61,15 @@ def collect(config: CollectConfig, out: Path, *, workers: int | None = None, res
         executor = LocalExecutorConfig(workers=workers, timeout=config.limit())
         failed, untried = _run(jobs, f"collect {out}", config.episodes, environment.spec.fps, executor)
     if failed:
-        raise PlaylearnError(_told(failed, untried, config, out))
+        raise PlaylearnError(_failure_message(failed, untried, config, out))
 
 
 def record(settings: str, folder: str, index: int) -> tuple[int, str]:
-    """Play one episode and put it into the store: what a worker does. Returns steps and why it ended."""
+    """Play one episode and put it into the store: one job. Returns steps and why it ended."""
     try:
         episode = play(from_dict(CollectConfig, json.loads(settings)), index)
     except Exception:
-        forget_envs()  # the next episode begins in a world that nothing happened to
+        forget_envs()  # the next episode starts in a fresh environment
         raise
     write_episode(folder, index, episode)
     return len(episode), episode.meta.ended
@@ -78,28 +79,28 @@ def play(config: CollectConfig, index: int) -> Episode:
     """Episode `index` of a collection: a pure function of its arguments.
 
     Raises:
-        PlaylearnError: the world failed before the first action.
+        PlaylearnError: the environment failed before the first action.
     """
-    environment = env(config.environment)
+    environment = cached_env(config.environment)
     seed = episode_seed(config.seed, index)
     environment.reset(seed)
-    player = play_policy_for(environment, config.play)
-    outcome = rollout([environment], player, [None], seeds=[seed], max_steps=config.steps, cameras=config.cameras)[0]
+    policy = play_policy_for(environment, config.play)
+    outcome = rollout([environment], policy, [None], seeds=[seed], max_steps=config.steps, cameras=config.cameras)[0]
     if outcome.episode is None:
         raise PlaylearnError(f"it ended before its first action: {outcome.ended}")
     return outcome.episode
 
 
 def collect_one(config: CollectConfig, out: Path, index: int) -> None:
-    """Play episode `index` alone and in this process; what it raises comes through, with its traceback.
+    """Play only episode `index`, in this process; what it raises comes through, with its traceback.
 
-    A fresh `out` becomes a store that holds it alone. A store that lacks it gets it; one that has it is
-    left alone, and the two are compared, bit for bit: on the machine that played it they are the same.
+    A fresh `out` becomes a store of this one episode. A store that lacks it gets it. A store that has it is left as it
+    is, and the two are compared bit for bit: on the machine that played it they are the same.
 
     Raises:
         PlaylearnError: played again it is not the episode that the store holds.
     """
-    store = begin(config, env(config.environment), out, resume=(out / "store.json").exists())
+    store = begin(config, cached_env(config.environment), out, resume=(out / "store.json").exists())
     with store.writer() as writer:
         with _tracebacks(config.limit()):
             episode = play(config, index)
@@ -152,8 +153,8 @@ def _run(
     return failed, len(jobs) - made - len(failed)
 
 
-def _told(failed: Sequence[Result], untried: int, config: CollectConfig, out: Path) -> str:
-    """What failed, and the command that plays each of them alone."""
+def _failure_message(failed: Sequence[Result], untried: int, config: CollectConfig, out: Path) -> str:
+    """What failed, and the command that plays each of them by itself."""
     lines = [f"{len(failed)} episodes failed; all others are safe, and --resume tries these again"]
     if untried:
         lines[0] = (
@@ -162,7 +163,7 @@ def _told(failed: Sequence[Result], untried: int, config: CollectConfig, out: Pa
     command = f"playlearn collect --config {shlex.quote(str(out / RESOLVED))} --out {shlex.quote(str(out))}"
     for result in failed[:_NAMED]:
         lines.append(f"episode {result.key} (seed {episode_seed(config.seed, result.key)}): {_reason(result)}")
-        lines.append(f"  alone, with a traceback: {command} --seed {config.seed} --episode {result.key}")
+        lines.append(f"  by itself, with a traceback: {command} --seed {config.seed} --episode {result.key}")
     if len(failed) > _NAMED:
         lines.append(f"and {len(failed) - _NAMED} more")
     return "\n".join(lines)
@@ -173,8 +174,8 @@ def _reason(result: Result) -> str:
     error = result.error
     if isinstance(error, LostError):
         return error.why
-    words = " ".join(str(error).split())
-    return words if isinstance(error, PlaylearnError) else f"{type(error).__name__}: {words}"
+    text = " ".join(str(error).split())
+    return text if isinstance(error, PlaylearnError) else f"{type(error).__name__}: {text}"
 
 
 def _differences(one: Episode, other: Episode) -> list[str]:
@@ -194,7 +195,7 @@ def _differences(one: Episode, other: Episode) -> list[str]:
 
 @contextmanager
 def _tracebacks(limit: float | None) -> Iterator[None]:
-    """Show where it fails, crashes or hangs; after `limit` seconds the process says where it is and ends."""
+    """Show where it fails, crashes or hangs; after `limit` seconds print the traceback and end the process."""
     faulthandler.enable(file=_STDERR)
     if limit is not None:
         faulthandler.dump_traceback_later(limit, exit=True, file=_STDERR)

@@ -1,19 +1,17 @@
-"""Draw images for play that was recorded without them, or with others."""
+"""Render images for play that was recorded without them, or with others."""
 
 import dataclasses
-import functools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from playlearn.collection.env import env
-from playlearn.config import from_dict
+from playlearn.episode_jobs import run_jobs
 from playlearn.errors import UsageError
-from playlearn.executor import Job, LocalExecutorConfig
-from playlearn.report.progress import Progress
-from playlearn.sim import CameraConfig, EnvironmentConfig
-from playlearn.store import NativeStore, write_episode
+from playlearn.executor import Job
+from playlearn.process_cache import cached_env_of, cached_store
+from playlearn.sim import CameraConfig
+from playlearn.store import NativeStore, with_images, write_episode
 
 
 def render_store(
@@ -23,17 +21,16 @@ def render_store(
     workers: int | None = None,
     episodes: int | None = None,
 ) -> None:
-    """A store like `source` with images of these cameras and sizes, drawn from its simulator states.
+    """A store like `source` with images of these cameras and sizes, rendered from its simulator states.
 
-    Goes on where an interrupted call stopped. episodes: the first so many only; a later call may ask for more.
+    Continues an interrupted call. episodes: only the first so many; a later call may ask for more.
 
     Raises:
         StoreError: `source` is missing, or `out` holds something else.
         UsageError: the environment has no such camera, or the store not so many episodes.
     """
     store = NativeStore.open(source)
-    config = from_dict(EnvironmentConfig, store.spec.environment)
-    known = config.build().spec.cameras
+    known = cached_env_of(store).spec.cameras
     unknown = sorted(set(cameras) - set(known))
     if unknown:
         raise UsageError(f"camera {unknown[0]!r} is not one of {', '.join(known)}")
@@ -55,29 +52,19 @@ def render_store(
             for index in indices
             if int(index) not in done
         ]
-        with (
-            LocalExecutorConfig(workers=workers).build() as executor,
-            Progress(f"render {out}", len(indices), "episode", len(indices) - len(jobs), executor.workers) as progress,
-        ):
-            for count, result in enumerate(executor.run(jobs), len(indices) - len(jobs) + 1):
-                progress.to(count, seconds=result.seconds)
+        run_jobs(f"render {out}", jobs, len(indices), workers)
 
 
 def redraw(source: str, out: str, index: int, sizes: Mapping[str, Sequence[int]]) -> None:
-    """Draw the episode that was recorded under `index` anew: what a worker does."""
-    store = _store(source)
-    position = int(np.searchsorted(store.indices(), index))  # by number: somebody may be adding to `source`
-    environment = env(from_dict(EnvironmentConfig, dict(store.spec.environment)))
+    """Render the episode that was recorded under `index`: one job."""
+    store = cached_store(source)
+    position = int(np.searchsorted(store.indices(), index))  # by number: `source` may be growing
+    environment = cached_env_of(store)
     states = store.array(position, "sim.state")
     images = {camera: np.empty((len(states), h, w, 3), np.uint8) for camera, (h, w) in sizes.items()}
     for t, state in enumerate(states):
         environment.set_state(np.array(state))
         for camera, (h, w) in sizes.items():
             images[camera][t] = environment.render(camera, h, w)
-    episode = store.with_images(position, images, environment.renderer())
+    episode = with_images(store.read(position), images, environment.renderer())
     write_episode(out, index, episode)
-
-
-@functools.cache
-def _store(path: str) -> NativeStore:
-    return NativeStore.open(path)

@@ -1,22 +1,23 @@
-"""A person plays into a store, with a device: every finished episode is committed before the next one begins."""
+"""A person records play with a device: every finished episode is committed before the next one begins."""
 
 import sys
 from pathlib import Path
 
 from playlearn.collection.config import CollectConfig, episode_seed
-from playlearn.collection.env import begin, env
+from playlearn.collection.store import begin
 from playlearn.errors import PlaylearnError
+from playlearn.process_cache import cached_env
 from playlearn.rollout import rollout
 from playlearn.sim import Environment
 from playlearn.teleop.device import DeviceActor, Wish, open_device
 
-HEIGHT = 480  # of the picture, in pixels
+HEIGHT = 480  # of the shown image, in pixels
 
 
 def collect_by_hand(
     config: CollectConfig, out: Path, kind: str, sensitivity: float = 1.0, *, resume: bool = False
 ) -> None:
-    """Let a person record the episodes that are missing, from the start states that a scripted player would have.
+    """Let a person record the episodes that are missing, from the start states that a scripted collection would have.
 
     kind: `keyboard` or `spacemouse`.
 
@@ -25,7 +26,7 @@ def collect_by_hand(
     """
     from playlearn.teleop.window import Window
 
-    environment = env(config.environment)
+    environment = cached_env(config.environment)
     height, width, _ = environment.render(environment.spec.cameras[0]).shape
     size = (HEIGHT, round(HEIGHT * width / height))
     with Window(f"playlearn: {out}", *size) as screen:
@@ -36,7 +37,7 @@ def collect_by_hand(
 def record_by_hand(
     config: CollectConfig, out: Path, environment: Environment, actor: DeviceActor, *, resume: bool = False
 ) -> None:
-    """The same with the world, the device and the screen given."""
+    """The same with the environment, the device and the screen given."""
     store = begin(config, environment, out, resume=resume)
     with store.writer() as writer:
         done = set(store.indices().tolist())
@@ -57,7 +58,7 @@ def record_by_hand(
                 cameras=config.cameras,
             )[0]
             if actor.wish is Wish.DISCARD:
-                print(f"episode {index}: thrown away after {outcome.steps} steps", file=sys.stderr)
+                print(f"episode {index}: discarded after {outcome.steps} steps", file=sys.stderr)
                 continue
             if outcome.episode is None:
                 raise PlaylearnError(f"episode {index} (seed {seed}) ended before its first action: {outcome.ended}")

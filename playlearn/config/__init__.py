@@ -1,4 +1,4 @@
-"""Frozen dataclasses from YAML and the command line, and what a run writes down of itself.
+"""Frozen dataclasses from YAML and the command line, what a run records of itself, and the folder it goes into.
 
 A config stands beside the class it builds. A kind (head, goal sampler, environment) is a `draccus.ChoiceRegistry`
 picked by `type:`. What a file leaves out keeps the default that the enclosing config gives it, in nested blocks too;
@@ -7,9 +7,11 @@ picked by `type:`. What a file leaves out keeps the default that the enclosing c
 
 from playlearn.config.load import from_dict, load_config, save_config, to_dict
 from playlearn.config.record import atomic_write, git_revision, sync_folder, versions
+from playlearn.config.run_folder import RunFolder
 from playlearn.config.schema import nearest
 
 __all__ = [
+    "RunFolder",
     "atomic_write",
     "from_dict",
     "git_revision",

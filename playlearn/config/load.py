@@ -66,7 +66,7 @@ def to_yaml(value: Any) -> str:
 
 
 def _blame(problem: Problem, given: Sequence[tuple[tuple[str, ...], Any]], where: str) -> str:
-    """Say the file's name, unless an override is what was wrong."""
+    """The name of the file, unless an override is what was wrong."""
     return "" if any(keys[: len(problem.path)] == problem.path for keys, _ in given) else where
 
 

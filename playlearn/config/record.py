@@ -1,4 +1,4 @@
-"""What a run writes down of itself, and how: whole files, package versions, the commit."""
+"""What a run records of itself, and how: whole files, package versions, the commit."""
 
 import functools
 import os
@@ -44,7 +44,7 @@ def versions() -> dict[str, str]:
 
 @functools.cache
 def _installed() -> tuple[tuple[str, str], ...]:
-    # Looked up once: it takes 15 ms, and every episode asks.
+    # Looked up once: it takes 15 ms, and every episode records it.
     found = {"playlearn": __version__, "python": platform.python_version()}
     for package in RECORDED:
         try:

@@ -1,4 +1,4 @@
-"""A config's dataclasses as a schema: fill in defaults, build values, tell what is wrong and where."""
+"""A config's dataclasses as a schema: fill in defaults, build values, report what is wrong and where."""
 
 import dataclasses
 import difflib
@@ -36,7 +36,7 @@ class Problem(Exception):
 
 
 def complete(cls: Any, raw: Mapping[str, Any], default: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """`raw` with every default filled in, nested ones too; what is wrong in it stays for `build` to tell.
+    """`raw` with every default filled in, nested ones too; what is wrong in it stays for `build` to report.
 
     default: what the enclosing config holds here when nothing is given; it counts unless `raw` is another kind.
     A mapping or a list that is given replaces the default's, only blocks are merged.
@@ -155,7 +155,7 @@ def _build_sequence(cls: Any, raw: Any, path: tuple[str, ...]) -> Any:
 
 
 def _build_leaf(cls: Any, raw: Any, path: tuple[str, ...]) -> Any:
-    # draccus takes null, true or a list for a number or a text; a config that says so is a mistake.
+    # draccus accepts null, true or a list for a number or a text; in a config that is a mistake.
     allowed = {int: (int,), float: (int, float), bool: (bool,), str: (str,), Path: (str, Path)}.get(cls)
     wrong = Problem(path, f"{_name(path)} must be {_expected(cls)}, not {format_value(raw)}")
     if allowed is not None and (not isinstance(raw, allowed) or (isinstance(raw, bool) and cls is not bool)):
@@ -178,7 +178,7 @@ def nearest(name: str, known: Sequence[str]) -> str:
 
 
 def _kind(cls: Any, raw: Any) -> Any:
-    """The concrete class of a kind's block, None where it cannot be told; other classes are their own."""
+    """The concrete class of a kind's block, None where it is unknown; other classes are their own."""
     if not _is_choice(cls):
         return cls
     choices = cls.get_known_choices()

@@ -1,4 +1,4 @@
-"""What is displaced, how far, and how often it is shown."""
+"""How many moments are displaced, how far, and how often training shows them."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,12 +8,15 @@ from playlearn.errors import UsageError
 
 @dataclass(frozen=True)
 class CorrectionsConfig:
-    """share: of the training examples, how many are corrected ones.
+    """Displaced moments of play.
 
-    displacement, turn: meters and radians that the hand is put aside at most. per_episode: displaced moments of each
-    episode, fewer where the hand is hardly ever free. steps: within how many the corrected labels lead back.
-    seed: of the moments and displacements. folder: where they are kept, for several runs to share; null for the
-    run's own.
+    fraction: of the training examples, how many are corrected ones.
+    displacement: of the end effector, meters at most.
+    turn: of the end effector, radians at most.
+    per_episode: displaced moments of each episode, fewer where the end effector is rarely free.
+    steps: within how many the corrected labels lead back.
+    seed: of the moments and displacements.
+    folder: where they are kept, for several runs to use; null for the run's own.
     """
 
     fraction: float = 0.2

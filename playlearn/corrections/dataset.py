@@ -24,7 +24,7 @@ class Corrections:
     """The files that `make_corrections` left in a folder, as the augmentation of a dataset."""
 
     def __init__(self, folder: Path, dataset: PlayDataset, fraction: float) -> None:
-        """share: see `CorrectionsConfig`. Only moments from which the dataset has a goal to draw are used.
+        """fraction: see `CorrectionsConfig`. Only moments for which the dataset can draw a goal are used.
 
         Raises:
             StoreError: a file is missing or damaged, or there is no such moment.
@@ -54,7 +54,7 @@ class Corrections:
         return len(self.example)
 
     def __call__(self, recorded: Recorded, epoch: int | Indices, indices: Indices) -> Batch:
-        """The batch of these examples, `share` of them replaced by corrected ones, drawn as `balance` weighs them."""
+        """The batch of these examples, `fraction` of them replaced by corrected ones, drawn as `balance` weighs."""
         draws = counter_uniforms(self.seed ^ _SEED, epoch, indices, 2)
         chosen = np.flatnonzero(draws[:, 0] < self.fraction)  # (n,) places in the batch
         rows = np.searchsorted(self._cumulative, draws[chosen, 1] * self._cumulative[-1], side="right")
@@ -64,7 +64,7 @@ class Corrections:
         return self._corrected(recorded(epoch, indices), chosen, rows)
 
     def _corrected(self, batch: Batch, places: Indices, rows: Indices) -> Batch:
-        """`batch` with displaced observations and the way back at some places; the displaced moment has no past."""
+        """`batch` with displaced observations and the way back in some rows; a displaced moment has no history."""
         steps = min(self.action.shape[1], batch.action.shape[1])
         state, action, mask = batch.state.clone(), batch.action.clone(), batch.history_mask.clone()
         achieved = batch.achieved.clone()
@@ -75,19 +75,19 @@ class Corrections:
         images = {camera: frames.clone() for camera, frames in batch.images.items()}
         for camera, frames in images.items():
             if len(rows):
-                frames[places] = torch.from_numpy(self._pictures(camera, rows))[:, None]
+                frames[places] = torch.from_numpy(self._images(camera, rows))[:, None]
         return dataclasses.replace(
             batch, state=state, achieved=achieved, action=action, history_mask=mask, images=images
         )
 
-    def _pictures(self, camera: str, rows: Indices) -> Array:
+    def _images(self, camera: str, rows: Indices) -> Array:
         """(n, h, w, 3) uint8."""
         paths = [str(episode_path(self.folder, int(number))) for number in self.numbers[rows]]
         return np.stack([_read(path)[IMAGES + camera][row] for path, row in zip(paths, self.row[rows], strict=True)])
 
 
 def _examples(dataset: PlayDataset, episodes: Indices, t: Sequence[int] | Indices) -> Indices:
-    """(m,) which example of the dataset stands at each (episode, t), -1 where none does."""
+    """(m,) the dataset's example at each (episode, t), -1 where there is none."""
     own_episode, own_t = dataset.where(np.arange(len(dataset)))
     longest = int(dataset.table.lengths.max()) + 1
     keys, wanted = own_episode * longest + own_t, episodes * longest + np.asarray(t)

@@ -1,31 +1,25 @@
-"""Make displaced moments of a store's episodes, on all cores; an interrupted making goes on where it stopped."""
+"""Make displaced moments of a store's episodes, on all cores; an interrupted call continues where it stopped."""
 
-import functools
-import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-import playlearn.envs  # noqa: F401 - registers the worlds
-from playlearn.config import from_dict
 from playlearn.corrections.config import CorrectionsConfig
-from playlearn.corrections.response import hand_response
+from playlearn.corrections.response import end_effector_response
 from playlearn.corrections.rollback import CorrectableEnv, way_back
 from playlearn.episode import IMAGES, Array
+from playlearn.episode_jobs import missing, run_jobs
 from playlearn.errors import UsageError
-from playlearn.executor import Job, LocalExecutorConfig
-from playlearn.report.progress import Progress
-from playlearn.sim import EnvironmentConfig
-from playlearn.sim.ik import HandDisplacement
-from playlearn.store import Store, episode_path, open_store
+from playlearn.executor import Job
+from playlearn.process_cache import cached_env_of, cached_note, cached_store
+from playlearn.store import Store, episode_path
 from playlearn.store.folder import claim
 from playlearn.store.tensors import write_tensors
 
 NOTE = "corrections.json"
-_MEASURED = 40  # episodes that tell how the hand responds
+_MEASURED = 40  # episodes on which the response is measured
 _TRIES = 5  # moments looked at for each that is wanted
 
 
@@ -39,14 +33,14 @@ def make_corrections(
 ) -> None:
     """Leave in `folder` a file for each of `episodes` (positions in the store); those that are there already stay.
 
-    A file holds of n moments: t (n,), observation.state (n, S), action (n, k, A) the labels that lead back,
+    A file holds, of n moments: t (n,), observation.state (n, S), action (n, k, A) the labels that lead back,
     displacement (n, 6) m and rad, and images of `cameras` (n, h, w, 3).
 
     Raises:
-        UsageError: `folder` was made with other settings, or the store's world has no hand to displace.
+        UsageError: `folder` was made with other settings, or the store's environment cannot displace its arm.
         StoreError: the store lacks simulator states, or the disk is full.
     """
-    response = hand_response(store, episodes[:_MEASURED].tolist())
+    response = end_effector_response(store, episodes[:_MEASURED].tolist())
     note = {
         "store": dict(store.spec.environment),
         "cameras": {camera: list(store.cameras()[camera]) for camera in cameras},
@@ -54,31 +48,20 @@ def make_corrections(
         **{name: getattr(config, name) for name in ("displacement", "turn", "per_episode", "steps", "seed")},
     }
     claim(folder, NOTE, note, "corrections")
-    numbers = store.indices()[episodes]
     jobs = [
         Job(
             key=int(number), function=correct, kwargs={"source": store.name(), "out": str(folder), "index": int(number)}
         )
-        for number in numbers
-        if not episode_path(folder, int(number)).exists()
+        for number in store.indices()[episodes]
     ]
-    if not jobs:
-        return
-    with (
-        LocalExecutorConfig(workers=workers).build() as executor,
-        Progress(
-            f"corrections {folder}", len(numbers), "episode", len(numbers) - len(jobs), executor.workers
-        ) as progress,
-    ):
-        for count, result in enumerate(executor.run(jobs), len(numbers) - len(jobs) + 1):
-            progress.to(count, seconds=result.seconds)
+    run_jobs(f"corrections {folder}", missing(jobs, folder), len(jobs), workers)
 
 
 def correct(source: str, out: str, index: int) -> None:
-    """Displaced moments of the episode that was recorded under `index`: what a worker does."""
-    store, note = _store(source), _load_note(out)
+    """Make displaced moments of the episode that was recorded under `index`: one job."""
+    store, note = cached_store(source), cached_note(str(Path(out) / NOTE))
     position = int(np.searchsorted(store.indices(), index))
-    env = _env(json.dumps(dict(store.spec.environment)))
+    env = _environment(store)
     states, labels = store.array(position, "sim.state"), store.array(position, "expert_action")
     sizes, steps = note["cameras"], int(note["steps"])
     response, rng = np.asarray(note["response"]), np.random.default_rng((int(note["seed"]), index))
@@ -89,14 +72,14 @@ def correct(source: str, out: str, index: int) -> None:
             break
         shift, turn = _within_ball(note["displacement"], rng), _within_ball(note["turn"], rng)
         if _touches(env, states[t + steps]) or _touches(env, states[t]):
-            continue  # what it holds or pushes would be torn away, now or on the way back
+            continue  # it would lose what it holds or pushes, now or on the way back
         before = env.observe().achieved
         if not env.displace(shift, turn):
             continue
         seen = env.observe()
         if not np.array_equal(seen.achieved, before):
             continue
-        pictures = {camera: env.render(camera, h, w) for camera, (h, w) in sizes.items()}
+        images = {camera: env.render(camera, h, w) for camera, (h, w) in sizes.items()}
         back = way_back(env, states[t], labels[t : t + steps], response, shift, turn)
         if back is None:
             continue
@@ -104,8 +87,8 @@ def correct(source: str, out: str, index: int) -> None:
         rows["observation.state"].append(seen.state)
         rows["action"].append(back)
         rows["displacement"].append(np.concatenate([shift, turn]))
-        for camera, picture in pictures.items():
-            rows[IMAGES + camera].append(picture)
+        for camera, image in images.items():
+            rows[IMAGES + camera].append(image)
     shapes = {
         "t": (),
         "observation.state": (len(store.spec.state_names),),
@@ -121,31 +104,21 @@ def correct(source: str, out: str, index: int) -> None:
 
 
 def _touches(env: CorrectableEnv, state: Array) -> bool:
-    """Whether the robot touches something in a recorded state; the world is left in that state."""
+    """Whether the robot touches something in a recorded state; the environment is left in that state."""
     env.set_state(np.array(state))
     return env.touching()
 
 
 def _within_ball(radius: float, rng: np.random.Generator) -> Array:
-    """(3,) any direction, any length up to `radius` equally likely: small ones are what mostly happens."""
+    """(3,) uniform in direction and in length up to `radius`: small displacements are the common case."""
     direction = rng.normal(size=3)
     return direction / np.linalg.norm(direction) * radius * rng.random()
 
 
-@functools.cache
-def _store(path: str) -> Store:
-    return open_store(path)
-
-
-@functools.cache
-def _load_note(folder: str) -> dict[str, Any]:
-    note: dict[str, Any] = json.loads((Path(folder) / NOTE).read_text())
-    return note
-
-
-@functools.cache
-def _env(environment: str) -> CorrectableEnv:
-    env = from_dict(EnvironmentConfig, json.loads(environment)).build()
-    if not isinstance(env, HandDisplacement):
-        raise UsageError("corrections: this world has no arm to displace (`displace` and `touching`); leave them out")
-    return cast(CorrectableEnv, env)
+def _environment(store: Store) -> CorrectableEnv:
+    env = cached_env_of(store)
+    if not isinstance(env, CorrectableEnv):
+        raise UsageError(
+            "corrections: this environment cannot displace an arm (`displace`, `touching`); leave them out"
+        )
+    return env

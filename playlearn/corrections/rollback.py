@@ -1,7 +1,7 @@
-"""The way back: from where the hand was put, to where the recorded labels would have led it, stepped for real."""
+"""The way back: from the displaced pose to where the recorded labels would have led, executed in the simulator."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -9,29 +9,46 @@ from playlearn.corrections.response import offset, undoing
 from playlearn.episode import Array
 from playlearn.errors import SimulationDiverged
 from playlearn.sim import Environment
-from playlearn.sim.ik import HandDisplacement
 
 _LEFT = 0.5  # of a displacement, at most, when the way back is over
-_NEAR = (2e-3, 2e-2)  # meters and radians that count as back, however small the displacement was
+_NEAR = (2e-3, 2e-2)  # meters and radians that count as back, even for smaller displacements
 _MOVED = 1e-3  # of what goals speak of: something was knocked
 
 
-class CorrectableEnv(Environment, HandDisplacement, Protocol):
-    """What is asked of a world here."""
+@runtime_checkable
+class CorrectableEnv(Environment, Protocol):
+    """An environment whose end effector can be displaced."""
+
+    def displace(self, shift: Array, turn: Array) -> bool:
+        """Move the end effector by `shift` (3,) m and the rotation vector `turn` (3,) rad, both in the world's frame.
+
+        Only the arm's joints change; velocities stay. Returns whether it is there and touches nothing; if not, the
+        environment is unusable until `set_state`.
+        """
+        ...
+
+    def touching(self) -> bool:
+        """Whether any part of the robot touches something that is not the robot."""
+        ...
 
 
 def way_back(
     env: CorrectableEnv, state: Array, labels: Array, response: Array, shift: Array, turn: Array
 ) -> Array | None:
-    """(k, A) in [-1, 1]: the labels with what leads the hand back besides; None where they did not lead it back.
+    """(k, A) in [-1, 1]: the labels plus the correction that leads back; None where it did not lead back.
 
-    state: of the simulator, before the displacement by shift (3,) m and turn (3,) rad. labels: (k, A).
-    At each step 2 / k of what is still amiss is commanded: what a label adds depends on the displacement alone,
-    not on how long ago it began, so that a policy can learn it.
+    At each step 2 / k of the remaining offset is commanded: a correction depends only on the current offset, not on the
+    time since the displacement, so that a policy can learn it.
+
+    state: of the simulator, before the displacement.
+    labels: (k, A), recorded.
+    response: see `end_effector_response`.
+    shift: (3,) m.
+    turn: (3,) rad.
     """
     names, steps = env.spec.state_names, len(labels)
     try:
-        path, achieved = _followed(env, state, labels)
+        path, achieved = _replay(env, state, labels)
         env.set_state(np.array(state))
         if not env.displace(shift, turn):
             return None
@@ -51,7 +68,7 @@ def way_back(
     return corrected.astype(np.float32)
 
 
-def _followed(env: CorrectableEnv, state: Array, labels: Sequence[Array] | Array) -> tuple[list[Array], Array]:
+def _replay(env: CorrectableEnv, state: Array, labels: Sequence[Array] | Array) -> tuple[list[Array], Array]:
     """The k+1 states of the robot along the recorded labels, and what was achieved in the end."""
     env.set_state(np.array(state))
     path = [env.observe().state]

@@ -1,4 +1,4 @@
-"""Policy and expert at one hand: who acts is drawn or gated, what the expert would do is always the label."""
+"""Policy and expert share control: who acts is drawn or gated; the label is always the expert's action."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,10 +17,12 @@ StdOf = Callable[[int, Sequence[torch.Generator]], Array]
 class InterventionRule:
     """Who acts when.
 
-    beta: probability that a stretch of `stretch` steps is the expert's. gate: when it takes over besides.
-    steps: the range from which it is drawn, for each environment, after how many steps the expert takes over to
-    bring the episode to its goal. plans: every so many steps the policy plans anew; only there it is given the hand
-    back, so that it never goes on with a plan made before somebody else acted.
+    beta: probability that a stretch of `switch_every` steps is the expert's.
+    switch_every: steps of a stretch.
+    gate: when else the expert takes over.
+    steps: range from which each environment draws after how many steps the expert takes over to reach the goal.
+    plans: steps between two plans of the policy. Only there it gets control back, so that it never executes a plan
+        made before the expert acted.
     """
 
     beta: float
@@ -32,7 +34,7 @@ class InterventionRule:
 
 @dataclass(eq=False)
 class _Row:
-    """One environment's. until: the step at which the expert takes over for good."""
+    """What belongs to one environment. until: the step at which the expert takes over for good."""
 
     rng: np.random.Generator
     sampling: torch.Generator
@@ -41,7 +43,7 @@ class _Row:
     drawn: bool = False
     expert_acts: bool = False
 
-    def drives(self, step: int, signal: GateSignal, rule: InterventionRule) -> bool:
+    def expert_takes(self, step: int, signal: GateSignal, rule: InterventionRule) -> bool:
         """Whether the expert acts at this step."""
         if step % rule.switch_every == 0:
             self.drawn = bool(self.rng.random() < rule.beta)
@@ -51,13 +53,13 @@ class _Row:
 
 
 class DaggerActor:
-    """An Actor that asks both of its own; everything it draws for an environment comes from that one's seed."""
+    """An Actor that asks policy and expert; what it draws for an environment comes from that environment's seed."""
 
     name = "dagger"
 
     def __init__(self, policy: Actor, expert: Actor, rule: InterventionRule, std: StdOf | None = None) -> None:
-        """spread: see `PolicyActor.spread`; for gates that ask how sure the policy is."""
-        self._policy, self._expert, self._sharing, self._std = policy, expert, rule, std
+        """std: see `PolicyActor.std`; needed by gates that measure how uncertain the policy is."""
+        self._policy, self._expert, self._rule, self._std = policy, expert, rule, std
         self._rows: list[_Row] = []
         self._step = 0
         self._stds: Array = np.zeros(0)
@@ -73,13 +75,13 @@ class DaggerActor:
 
     def act(self, observations: Sequence[Observation], active: Sequence[bool]) -> list[Decision]:
         chosen, labels = self._policy.act(observations, active), self._expert.act(observations, active)
-        if self._sharing.gate.sampled and self._step % self._sharing.plans == 0:
+        if self._rule.gate.sampled and self._step % self._rule.plans == 0:
             self._stds = self._measured()
         decisions = []
         for row, mine, its, std in zip(self._rows, chosen, labels, self._stds, strict=True):
             label = np.asarray(its.action, np.float32)
             signal = GateSignal(float(np.abs(np.asarray(mine.action) - label).max()), float(std))
-            expert_acts = row.drives(self._step, signal, self._sharing)
+            expert_acts = row.expert_takes(self._step, signal, self._rule)
             decisions.append(
                 Decision(label if expert_acts else mine.action, label, its.skill, intervention=expert_acts)
             )
@@ -87,16 +89,16 @@ class DaggerActor:
         return decisions
 
     def unsure(self) -> bool:
-        """Whether the policy's samples differed at all where they were last compared."""
+        """Whether the policy's samples differed at all when they were last compared."""
         return bool(self._stds.any())
 
     def _row(self, seed: int) -> _Row:
-        rng = np.random.default_rng((seed, 1))  # not the numbers that policy and expert have from this seed
-        until = int(rng.integers(*self._sharing.steps, endpoint=True))
+        rng = np.random.default_rng((seed, 1))  # not the numbers that policy and expert draw from this seed
+        until = int(rng.integers(*self._rule.steps, endpoint=True))
         sampling = torch.Generator().manual_seed(int(rng.integers(2**63)))
-        return _Row(rng, sampling, self._sharing.gate.build(), until)
+        return _Row(rng, sampling, self._rule.gate.build(), until)
 
     def _measured(self) -> Array:
         if self._std is None:
-            raise ValueError("a gate that asks how sure the policy is needs `spread`")
-        return self._std(self._sharing.gate.sampled, [row.sampling for row in self._rows])
+            raise ValueError("a gate that measures how uncertain the policy is needs `std`")
+        return self._std(self._rule.gate.sampled, [row.sampling for row in self._rows])

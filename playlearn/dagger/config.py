@@ -5,12 +5,13 @@ from pathlib import Path
 from typing import Literal
 
 from playlearn.dagger.gate import GateConfig, NoGateConfig
+from playlearn.dagger.gather import GatherConfig, GatherRolloutsConfig
 from playlearn.dagger.schedule import BetaConfig, ZeroConfig
 from playlearn.errors import UsageError
 from playlearn.relabeling import GoalSamplerConfig
 from playlearn.relabeling.final_settled import FinalSettledConfig
 
-ADJUSTABLE = ("rounds",)  # what a run that goes on may change
+ADJUSTABLE = ("rounds",)  # what a resumed run may change
 
 
 @dataclass(frozen=True)
@@ -42,13 +43,9 @@ class DaggerConfig:
     warmup: updates over which the learning rate rises.
     eval_episodes: episodes of each evaluation (null: the suite's own).
     eval_seed: of each evaluation (null: the suite's own).
-    n_action_steps: actions of a chunk that are executed before the next plan (null: as the suite says).
-    guidance: weight of the goal (null: as the suite says).
-    baseline: `play` or `noise` gathers, instead of rollouts, as many steps of the collector's play, plain or with
-        `noise` on what is executed.
-    match_steps_of: the DAgger run whose rounds a baseline matches in steps.
-    collect: the config of a baseline's play (null: as the run's own play was made).
-    noise: amplitude of the `noise` baseline.
+    n_action_steps: actions of a chunk that are executed before the next plan (null: the suite's).
+    guidance: weight of the goal (null: the suite's).
+    gather: what each round adds: `rollouts`, or a baseline (`play`, `noise`) that adds as many steps of play.
     seed: of starts, goals and training.
     cpu: train on the CPU even where there is a GPU.
     """
@@ -76,10 +73,7 @@ class DaggerConfig:
     eval_seed: int | None = None
     n_action_steps: int | None = None
     guidance: float | None = None
-    baseline: Literal["none", "play", "noise"] = "none"
-    match_steps_of: Path | None = None
-    collect: Path | None = None
-    noise: float = 0.5
+    gather: GatherConfig = field(default_factory=GatherRolloutsConfig)
     seed: int = 0
     cpu: bool = False
 
@@ -104,8 +98,3 @@ class DaggerConfig:
             raise UsageError(f"policy_steps is a range [low, high], got [{low}, {high}]")
         if not 0 < self.fraction < 1:
             raise UsageError(f"fraction must lie between 0 and 1, both left out, got {self.fraction:g}")
-        if (self.baseline != "none") != (self.match_steps_of is not None):
-            raise UsageError(
-                "`baseline: play` and `baseline: noise` need `match_steps_of: OUT`, the DAgger run whose steps they "
-                "match, and only they do"
-            )

@@ -10,10 +10,10 @@ from playlearn.errors import UsageError
 
 @dataclass(frozen=True)
 class GateSignal:
-    """How it stands at one step of one environment.
+    """What a gate measures at one step of one environment.
 
-    distance: largest difference, over the action's dimensions, between what the policy would do and what the expert
-    would. spread: see `PolicyActor.spread`; of the policy's last plan.
+    distance: largest difference, over the action's dimensions, between the policy's action and the expert's.
+    std: of the policy's last plan; see `PolicyActor.std`.
     """
 
     distance: float
@@ -34,7 +34,7 @@ class GateConfig(draccus.ChoiceRegistry):
 
     @property
     def sampled(self) -> int:
-        """How many chunks it asks of the policy's head at every plan."""
+        """How many chunks it samples from the policy's head at every plan."""
         return 0
 
     def build(self) -> Gate:
@@ -45,18 +45,21 @@ class GateConfig(draccus.ChoiceRegistry):
 @GateConfig.register_subclass("none")
 @dataclass(frozen=True)
 class NoGateConfig(GateConfig):
-    """The expert takes over only where beta says so."""
+    """The expert takes over only as beta draws it."""
 
     def build(self) -> Gate:
-        return lambda _drift: False
+        return lambda _signal: False
 
 
 @dataclass(frozen=True)
 class HysteresisGateConfig(GateConfig):
     """What gates have in common.
 
-    above: opens once its measure was above this for `steps` steps running. below: closes once it was at most this
-    (null: `above`) for `agreeing` steps running, or after `most` steps open (null: only then).
+    open_above: opens once its measure was above this for `steps` steps in a row.
+    steps: see `open_above`.
+    close_below: closes once its measure was at most this (null: `open_above`) for `close_after` steps in a row.
+    close_after: see `close_below`.
+    max_steps: closes after so many steps in any case (null: never).
     """
 
     open_above: float = 0.5
@@ -90,7 +93,7 @@ class HysteresisGate:
     def __init__(self, config: HysteresisGateConfig) -> None:
         self._config = config
         self._open = False
-        self._running = 0  # steps in a row that speak for the other state
+        self._running = 0  # steps in a row on the other side of the threshold
         self._since = 0
 
     def __call__(self, signal: GateSignal) -> bool:
@@ -123,7 +126,7 @@ class DistanceConfig(HysteresisGateConfig):
 @GateConfig.register_subclass("uncertainty")
 @dataclass(frozen=True)
 class UncertaintyConfig(HysteresisGateConfig):
-    """The policy's own samples disagree: needs no expert to notice it. samples: chunks that are compared."""
+    """The policy's own samples disagree: needs no expert to measure it. samples: chunks that are compared."""
 
     open_above: float = 0.15
     samples: int = 4

@@ -1,15 +1,16 @@
-"""`playlearn dagger`: rounds of practice, training and evaluation, each done once.
+"""`playlearn dagger`: rounds of rollouts, training and evaluation, each done once.
 
 OUT/dagger.yaml, dagger.json        what is run, from which policy
-OUT/rounds/N/play/                  the round's own store; practice/: how each episode went
-OUT/rounds/N/train/                 a training run that begins with the last round's policy
+OUT/rounds/N/play/                  the round's own store; rollouts/: how each episode went
+OUT/rounds/N/train/                 a training run that starts from the last round's policy
 OUT/rounds/N/eval/                  a report like that of `playlearn eval`
-OUT/rounds/N/round.json             its row, written last: a round without one is done again from where it stopped
-OUT/perceived/                      play and practice as an image encoder perceives them, where it acts behind one
+OUT/rounds/N/round.json             its row, written last: a round without one continues where it stopped
+OUT/perceived/                      play and rollouts as the image encoder perceives them, with `encoder`
 OUT/results.json, plot.png          all rows
 OUT/config.yaml, policy/            the last round's, so that OUT is a run like any other
 """
 
+import functools
 import json
 import sys
 import time
@@ -18,28 +19,24 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from playlearn.collection import CollectConfig
-from playlearn.collection.env import env
-from playlearn.config import atomic_write, git_revision, load_config, save_config, to_dict, versions
+from playlearn.config import RunFolder, atomic_write, git_revision, load_config, save_config, to_dict, versions
 from playlearn.dagger.actor import InterventionRule
-from playlearn.dagger.baselines import play_on, player
 from playlearn.dagger.config import ADJUSTABLE, DaggerConfig
-from playlearn.dagger.results import evaluated, gathered, line, plot
-from playlearn.dagger.rollouts import Make, RolloutSpec, collect_rollouts, dagger_actor
-from playlearn.data import DataConfig
+from playlearn.dagger.gather import GatherContext
+from playlearn.dagger.results import evaluated, line, plot
+from playlearn.dagger.rollouts import Make, RolloutSpec, dagger_actor
 from playlearn.data.mixture import DatasetSource
 from playlearn.errors import PlaylearnError, UsageError
 from playlearn.evaluation import TrainedRecipe, evaluate, load_suite, scripted
 from playlearn.evaluation.suite import derived_seed, goal_from
 from playlearn.perceived import PerceivedConfig
 from playlearn.policies import Policy
+from playlearn.process_cache import cached_env
 from playlearn.store import open_store
 from playlearn.training import TrainConfig, train
 
 CONFIG, NOTE, ROW = "dagger.yaml", "dagger.json", "round.json"
-_PRACTICE, _CONTROL, _TRAINING = 0xDA66E4, 0xC0472A1, 0x7E57ED  # so that no seed serves two ends
+_ROLLOUTS, _TRAINING = 0xDA66E4, 0x7E57ED  # so that no seed serves two purposes
 
 
 def dagger(
@@ -51,14 +48,14 @@ def dagger(
     resume: bool = False,
     expert: Make | None = None,
 ) -> dict[str, Any]:
-    """Make the policy of `run` better in rounds; see the drawing above. expert: by default that of the environment.
+    """Improve the policy of `run` in rounds; see the drawing above. expert: by default that of the environment.
 
-    Returns what results.json says.
+    Returns the contents of results.json.
 
     Raises:
-        UsageError: a setting does not fit the run; `out` is taken or, with `resume`, was begun otherwise.
-        CheckpointError: there is no such run, or the suites are not of its world.
-        PlaylearnError: the expert brought no episode of a round to its goal.
+        UsageError: a setting does not fit the run; `out` is taken or, with `resume`, was begun with another config.
+        CheckpointError: there is no such run, or the suites are not of its environment.
+        PlaylearnError: no episode of a round reached its goal.
     """
     job = _Job(config, run, out, workers, expert or scripted)
     job.check()
@@ -72,7 +69,7 @@ def dagger(
 
 @dataclass(eq=False)
 class _Job:
-    """Everything that the rounds share."""
+    """What is common to all rounds."""
 
     config: DaggerConfig
     run: Path
@@ -81,39 +78,55 @@ class _Job:
     expert: Make
 
     def __post_init__(self) -> None:
-        """Reads what is said of the run and the suites; nothing is simulated."""
+        """Reads the configs of the run and the suites; nothing is simulated."""
         config, path = self.config, self.run / "config.yaml"
         if not path.is_file():
             raise UsageError(f"there is no run at {self.run} (no config.yaml); make one with: playlearn train")
         self.training = load_config(TrainConfig, path)
         self.suite = load_suite(config.rollout_suite)
         self.suite = replace(self.suite, kind=self.suite.kind.prepare(None))
-        self.seed = derived_seed(_PRACTICE, config.seed)
-        self.judging = load_suite(config.suite or config.rollout_suite)
-        self.eval_seed = self.judging.seed if config.eval_seed is None else config.eval_seed
-        self.matched = _frames(config)
+        self.seed = derived_seed(_ROLLOUTS, config.seed)
+        self.eval_suite = load_suite(config.suite or config.rollout_suite)
+        self.eval_seed = self.eval_suite.seed if config.eval_seed is None else config.eval_seed
+
+    @functools.cached_property
+    def context(self) -> GatherContext:
+        """What is handed to whatever gathers."""
+        config = self.config
+        return GatherContext(
+            rounds=config.rounds,
+            episodes=config.episodes,
+            rollout_spec=self.rollout_spec,
+            goals=config.goals,
+            max_label_deviation=config.max_label_deviation,
+            store=open_store(self.training.store),
+            environment=self.suite.environment,
+            cameras=self.trained(self.run).cameras(),
+            seed=config.seed,
+            workers=self.workers,
+        )
 
     def check(self) -> None:
-        """What can go wrong later is found now, in a world or two, before anything is written.
+        """Find what would go wrong later, in an environment or two, before anything is written.
 
         Raises:
             PlaylearnError: policy, expert, play and suite do not belong together.
         """
+        config = self.config
         if self.seed == self.eval_seed:
             raise UsageError(
-                f"eval_seed {self.eval_seed} is the seed of the rollouts: what is evaluated would have been "
-                "practiced; give another eval_seed"
+                f"eval_seed {self.eval_seed} is the seed of the rollouts: training would see what is evaluated; "
+                "give another eval_seed"
             )
         open_store(self.training.store)
         policy = self.trained(self.run)
         policy.check()
-        environment = env(self.suite.environment)
+        environment = cached_env(self.suite.environment)
         actor = dagger_actor(self.rollout_spec(1, self.run), environment)
-        policy.build(env(self.judging.environment))
-        self.expert(environment)  # where nobody can drive this world, that is said here
-        if self.matched is not None:
-            self.playing()
-        asked = self.config.gate.sampled
+        policy.build(cached_env(self.eval_suite.environment))
+        self.expert(environment)  # an environment without an expert fails here
+        config.gather.check(self.context)
+        asked = config.gate.sampled
         if asked:
             environment.reset(0)
             actor.reset([goal_from(environment, policy.cameras())], [0])
@@ -121,28 +134,32 @@ class _Job:
             if not actor.unsure():
                 raise UsageError(
                     f"gate: the policy of {self.run} samples the same chunk again and again, so that it is never "
-                    "uncertain; use `gate.type: distance`, or train a head that has a spread"
+                    "uncertain; use `gate.type: distance`, or train a head that samples"
                 )
 
     def start(self) -> dict[str, Any]:
-        """Row 0: the policy that all begins with."""
+        """Row 0: the policy that the run starts from."""
         folder = self.out / "rounds" / "0"
         if (folder / ROW).is_file():
             return _read(folder / ROW)
         return self.done(folder, {"round": 0, **evaluated(self.evaluate(self.run, folder / "eval"))})
 
     def round(self, number: int, before: list[dict[str, Any]]) -> dict[str, Any]:
-        """Row `number`; `before`: those of the rounds before it."""
-        folder = self.out / "rounds" / str(number)
+        """Row `number`. before: the rows of the rounds before it."""
+        config, folder = self.config, self.out / "rounds" / str(number)
         if (folder / ROW).is_file():
             return _read(folder / ROW)
         folder.mkdir(parents=True, exist_ok=True)
         began, last = time.perf_counter(), self.run if number == 1 else self.out / "rounds" / str(number - 1) / "train"
-        row = {"round": number, "beta": self.config.beta.at(number), **self.gather(number, last, folder)}
+        row = {
+            "round": number,
+            "beta": config.beta.at(number),
+            **config.gather.gather(self.context, number, last, folder),
+        }
         if not row["frames"]:
             raise PlaylearnError(
-                f"round {number}: the expert brought none of {row['attempted']} episodes to its goal "
-                f"({row['discarded']}); raise finish_steps, or practice on a suite that it can do"
+                f"round {number}: none of {row['attempted']} episodes reached its goal "
+                f"({row['discarded']}); raise finish_steps, or give a rollout_suite that the expert can solve"
             )
         gathered = {past["round"]: past["frames"] for past in [*before, row] if past["round"]}
         train(
@@ -151,60 +168,35 @@ class _Job:
         row |= evaluated(self.evaluate(folder / "train", folder / "eval"))
         return self.done(folder, {**row, "seconds": round(time.perf_counter() - began, 1)})
 
-    def gather(self, number: int, last: Path, folder: Path) -> dict[str, Any]:
-        """New steps to learn from, in the folder's store; what the row says of them."""
-        config = self.config
-        if self.matched is not None:
-            seed = derived_seed(_CONTROL, config.seed, number)
-            frames = play_on(self.playing(), self.matched[number - 1], seed, folder / "play", self.workers)
-            return {
-                "attempted": 0,
-                "kept": 0,
-                "solved_without_expert": 0,
-                "frames": frames,
-                "labels": 0,
-                "expert_steps": 0,
-            }
-        numbers = range((number - 1) * config.episodes, number * config.episodes)
-        return gathered(
-            collect_rollouts(
-                self.rollout_spec(number, last), numbers, folder, self.workers, f"round {number}, rollouts"
-            )
-        )
-
     def rollout_spec(self, number: int, last: Path) -> RolloutSpec:
-        """What the workers of a round are told."""
+        """How the rollouts of a round are made."""
         config = self.config
-        sharing = InterventionRule(config.beta.at(number), config.switch_every, config.gate, config.policy_steps)
+        rule = InterventionRule(config.beta.at(number), config.switch_every, config.gate, config.policy_steps)
         return RolloutSpec(
             self.suite,
             self.trained(last),
             self.expert,
-            sharing,
+            rule,
             self.seed,
             config.finish_steps,
             config.success_hold_steps,
             record=config.encoder is None,
         )
 
-    def playing(self) -> CollectConfig:
-        """How a control plays."""
-        return player(self.config, open_store(self.training.store), self.suite, self.trained(self.run).cameras())
-
     def trained(self, run: Path) -> TrainedRecipe:
-        """The policy of a run as it practices."""
+        """The policy of a run as it acts in rollouts."""
         config, suite = self.config, self.suite
         n_action_steps = suite.n_action_steps if config.n_action_steps is None else config.n_action_steps
         guidance = suite.guidance if config.guidance is None else config.guidance
         return TrainedRecipe(run, config.goal, n_action_steps, guidance, encoder=config.encoder)
 
     def trained_on(self, number: int, gathered: Mapping[int, int], last: Path) -> TrainConfig:
-        """The training of a round: the run's own, from the last policy on. gathered: round -> steps of its store."""
+        """The training of a round: the run's own, from the last policy. gathered: round -> steps of its store."""
         config, own = self.config, self.training.resolved()
-        total = sum(gathered.values())
+        total, data = sum(gathered.values()), config.gather.data(self.context, own.data)
         kept = tuple(replace(source, fraction=(1 - config.fraction) * source.fraction) for source in own.extra_datasets)
         extra_datasets = tuple(
-            DatasetSource(self.out / "rounds" / str(past) / "play", config.fraction * steps / total, self.cut(own.data))
+            DatasetSource(self.out / "rounds" / str(past) / "play", config.fraction * steps / total, data)
             for past, steps in gathered.items()
         )
         corrections = own.corrections
@@ -212,10 +204,8 @@ class _Job:
             corrections = replace(corrections, folder=corrections.folder or self.run / "corrections")
         perceived = own.perceived
         if config.encoder is not None:
-            looks = config.perceived_every > 0
-            perceived = (
-                PerceivedConfig(config.encoder, config.perceived_every, self.out / "perceived") if looks else None
-            )
+            every = config.perceived_every
+            perceived = PerceivedConfig(config.encoder, every, self.out / "perceived") if every else None
         return replace(
             own,
             policy=Policy.load(self.run / "policy").config,
@@ -233,23 +223,8 @@ class _Job:
             cpu=config.cpu,
         )
 
-    def cut(self, own: DataConfig) -> DataConfig:
-        """How examples are cut from what was gathered: all of it, and practice as its labels ask."""
-        if self.matched is not None:
-            return replace(own, val_fraction=0.0)
-        config = self.config
-        return replace(
-            own,
-            goals=config.goals,
-            max_label_deviation=config.max_label_deviation,
-            val_fraction=0.0,
-            balance=0.0,
-            failure_fraction=1.0,
-            mask_after_goal=False,
-        )
-
     def evaluate(self, run: Path, out: Path) -> dict[str, Any]:
-        """Judge a policy: the same episodes for every round."""
+        """Evaluate a policy: the same episodes in every round."""
         config = self.config
         given = {"n_action_steps": config.n_action_steps, "guidance": config.guidance}
         return evaluate(
@@ -267,14 +242,14 @@ class _Job:
         )
 
     def done(self, folder: Path, row: dict[str, Any]) -> dict[str, Any]:
-        """Write the row down: from now on the round is done."""
+        """Save the row: from now on the round is done."""
         folder.mkdir(parents=True, exist_ok=True)
         atomic_write(folder / ROW, json.dumps(row, indent=1).encode())
         print(line(row), file=sys.stderr, flush=True)
         return row
 
     def write(self, rows: list[dict[str, Any]]) -> dict[str, Any]:
-        """All rows, and the last round's policy as that of `out`. Returns what results.json says."""
+        """All rows, and the last round's policy as that of `out`. Returns the contents of results.json."""
         last = self.out / "rounds" / str(rows[-1]["round"]) / "train"
         Policy.load(last / "policy").save(self.out / "policy")
         atomic_write(self.out / "config.yaml", (last / "config.yaml").read_bytes())
@@ -292,40 +267,16 @@ class _Job:
         return results
 
 
-def _frames(config: DaggerConfig) -> list[int] | None:
-    """How many steps a control adds in each round, None where this is none."""
-    if config.match_steps_of is None:
-        return None
-    path = config.match_steps_of / "results.json"
-    if not path.is_file():
-        raise UsageError(f"match_steps_of: there is no DAgger run at {config.match_steps_of} (no results.json)")
-    frames = [int(row["frames"]) for row in _read(path)["rounds"] if row["round"]]
-    if len(frames) < config.rounds:
-        raise UsageError(
-            f"match_steps_of: {config.match_steps_of} has {len(frames)} rounds, this control is to have {config.rounds}"
-        )
-    return frames
-
-
 def _claim(config: DaggerConfig, run: Path, out: Path, *, resume: bool) -> None:
     """Make `out` this job's; raises UsageError where it is something else's."""
-    written = out / CONFIG
-    if written.is_file():
-        if not resume:
-            raise UsageError(f"{out} is there already: choose another --out, or go on with it by --resume")
-        before, now = yaml.safe_load(written.read_text()), to_dict(config)
-        apart = [name for name in now if name not in ADJUSTABLE and before.get(name) != now[name]]
-        if _read(out / NOTE)["run"] != str(run):
-            apart.append("run")
-        if apart:
-            raise UsageError(f"{out} was begun with another {', '.join(apart)}: give the same, or another --out")
-    elif out.exists() and (not out.is_dir() or any(path.name != NOTE for path in out.iterdir())):
-        raise UsageError(f"{out} is there already and is no DAgger run: choose another --out")
-    elif resume:
-        raise UsageError(f"there is no DAgger run at {out} to resume; start it without --resume")
+    folder = RunFolder(out, CONFIG, "DAgger run", adjustable=ADJUSTABLE, leftovers=(NOTE,))
+    note = {"run": str(run)}
+    if folder.begun(resume=resume):
+        before = to_dict(load_config(DaggerConfig, folder.file))
+        folder.check_same({**before, **_read(out / NOTE)}, {**to_dict(config), **note})
     out.mkdir(parents=True, exist_ok=True)
-    atomic_write(out / NOTE, json.dumps({"run": str(run)}).encode())
-    save_config(config, written)
+    atomic_write(out / NOTE, json.dumps(note).encode())
+    save_config(config, folder.file)
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -1,30 +1,38 @@
-"""One round of practice: the policy tries, the expert labels and finishes, what got to its goal is kept."""
+"""One round of rollouts: the policy acts, the expert labels and finishes; episodes that reach their goals are kept."""
 
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from playlearn.collection.env import env, kind
+from playlearn.collection.store import store_spec
 from playlearn.config import atomic_write
 from playlearn.dagger.actor import DaggerActor, InterventionRule
 from playlearn.episode import Observation
 from playlearn.errors import PlaylearnError, UsageError
 from playlearn.evaluation import EvalEpisode, SuiteConfig, TrainedRecipe
 from playlearn.executor import Job, LocalExecutorConfig
+from playlearn.process_cache import cached_env, cached_envs
 from playlearn.report.progress import Progress
 from playlearn.rollout import STOPPED, Actor, Outcome, rollout
 from playlearn.sim import Environment
-from playlearn.store import NativeStore, StoreSpec, write_episode
+from playlearn.store import NativeStore, write_episode
 
 Make = Callable[[Environment], Actor]
 
 
 @dataclass(frozen=True)
 class RolloutSpec:
-    """What a worker needs to know. seed: of starts and goals. sharing: without `plans`, which the policy decides.
+    """How rollouts are made.
 
-    record: whether what the policy sees is kept.
+    suite: of starts and goals.
+    policy: what acts.
+    expert: builds the expert of an environment.
+    rule: who acts when; its `plans` is set from the policy.
+    seed: of starts and goals.
+    finish_steps: steps that the expert has to reach the goal once it has taken over.
+    success_hold_steps: steps for which the goal must be reached before an episode ends.
+    record: whether the images that the policy sees are kept.
     """
 
     suite: SuiteConfig
@@ -44,8 +52,15 @@ class RolloutSpec:
 
 @dataclass(frozen=True)
 class RolloutRecord:
-    """One episode. kept: it ended in its goal. labels: states that the expert was asked about. driven: steps that
-    it acted in. alone: the policy got there without it.
+    """One episode.
+
+    episode: its number.
+    task: name of the task.
+    kept: whether it ended in its goal.
+    ended: how it ended.
+    labels: states that the expert labeled.
+    expert_steps: steps in which the expert acted.
+    solved_without_expert: the policy reached the goal by itself.
     """
 
     episode: int
@@ -60,10 +75,10 @@ class RolloutRecord:
 def collect_rollouts(
     spec: RolloutSpec, numbers: Sequence[int], out: Path, workers: int | None, title: str
 ) -> list[RolloutRecord]:
-    """Try these episodes, leave those that got to their goals in the store `out`/play; a broken call goes on.
+    """Attempt these episodes; keep those that reach their goals in the store `out`/play; continues an interrupted call.
 
     Raises:
-        UsageError: the suite is not one of a world that this policy and this expert know.
+        UsageError: policy or expert cannot act in the suite's environment.
     """
     store, notes = out / "play", out / "rollouts"
     make_store(spec.suite, spec.recorded, store)
@@ -89,41 +104,42 @@ def collect_rollouts(
 
 
 def attempt(spec: RolloutSpec, numbers: Sequence[int], store: Path, note: Path) -> int:
-    """Try a few episodes together, put what is kept into the store, then write down how each went. Returns how many."""
-    first = env(spec.suite.environment)
+    """Attempt a few episodes in one batch: one job. Stores what is kept, then how each went; returns how many."""
+    envs = cached_envs(spec.suite.environment, len(numbers))
+    first = envs[0]
     expert = spec.expert(first)
     actor = dagger_actor(spec, first)
-    setups, records = _setups(spec, numbers, first, expert)
-    envs = [first, *(first.clone() for _ in setups[1:])][: len(setups)]
-    for one, setup in zip(envs, setups, strict=True):
-        one.set_state(setup.start_sim_state)
-    there = [0] * len(setups)
+    episodes, records = _set_up(spec, numbers, first, expert)
+    envs = envs[: len(episodes)]
+    for env, episode in zip(envs, episodes, strict=True):
+        env.set_state(episode.start_sim_state)
+    held = [0] * len(episodes)
 
-    def settled(k: int, seen: Observation) -> bool:
-        there[k] = there[k] + 1 if envs[k].reached(seen.achieved, setups[k].goal.achieved) else 0
-        return there[k] >= spec.success_hold_steps
+    def held_long_enough(k: int, seen: Observation) -> bool:
+        held[k] = held[k] + 1 if envs[k].reached(seen.achieved, episodes[k].goal.achieved) else 0
+        return held[k] >= spec.success_hold_steps
 
     outcomes = rollout(
         envs,
         actor,
-        [setup.goal for setup in setups],
-        seeds=[setup.seed for setup in setups],
+        [episode.goal for episode in episodes],
+        seeds=[episode.seed for episode in episodes],
         max_steps=spec.rule.steps[1] + spec.finish_steps,
-        stop=settled,
+        stop=held_long_enough,
         cameras=spec.recorded,
     )
-    for setup, outcome in zip(setups, outcomes, strict=True):
-        records.append(_record(setup, outcome))
+    for episode, outcome in zip(episodes, outcomes, strict=True):
+        records.append(_record(episode, outcome))
         if records[-1].kept and outcome.episode is not None:
-            meta = replace(outcome.episode.meta, task=setup.task)
-            write_episode(store, setup.episode, replace(outcome.episode, meta=meta))
+            meta = replace(outcome.episode.meta, task=episode.task)
+            write_episode(store, episode.episode, replace(outcome.episode, meta=meta))
     rows = [asdict(row) for row in sorted(records, key=lambda row: row.episode)]
     atomic_write(note, json.dumps(rows).encode())
     return len(rows)
 
 
 def dagger_actor(spec: RolloutSpec, environment: Environment) -> DaggerActor:
-    """The policy and the expert at one hand, in this environment.
+    """Policy and expert sharing control of this environment.
 
     Raises:
         PlaylearnError: either cannot act there.
@@ -134,49 +150,36 @@ def dagger_actor(spec: RolloutSpec, environment: Environment) -> DaggerActor:
 
 
 def make_store(suite: SuiteConfig, cameras: Sequence[str], path: Path) -> None:
-    """An empty store for episodes of a suite's world as seen through these cameras, where there is none yet."""
+    """An empty store for episodes of a suite's environment seen by these cameras, unless there is one."""
     if (path / "store.json").exists():
         return
-    environment = env(suite.environment)
-    seen = environment.observe(tuple(cameras)).images
-    spec = environment.spec
-    NativeStore.create(
-        path,
-        StoreSpec(
-            environment=kind(suite.environment),
-            state_names=spec.state_names,
-            achieved_names=spec.achieved_names,
-            action_names=spec.action_names,
-            fps=spec.fps,
-            cameras={name: (int(image.shape[0]), int(image.shape[1])) for name, image in seen.items()},
-        ),
-    )
+    NativeStore.create(path, store_spec(cached_env(suite.environment), cameras))
 
 
-def _setups(
+def _set_up(
     spec: RolloutSpec, numbers: Sequence[int], environment: Environment, expert: Actor
 ) -> tuple[list[EvalEpisode], list[RolloutRecord]]:
-    """Starts and goals; and the episodes for which there are none."""
-    suite, setups, without = spec.suite, [], []
+    """Starts and goals; and the records of episodes for which there are none."""
+    suite, episodes, without = spec.suite, [], []
     for number in numbers:
         try:
-            setups.append(
+            episodes.append(
                 suite.kind.setup(environment, expert, number, spec.seed, suite.max_steps, spec.policy.cameras())
             )
         except UsageError:
             raise
         except PlaylearnError as error:
             without.append(RolloutRecord(number, "", kept=False, ended=f"not set up: {error}"))
-    return setups, without
+    return episodes, without
 
 
-def _record(setup: EvalEpisode, outcome: Outcome) -> RolloutRecord:
-    episode = outcome.episode
-    expert_steps = 0 if episode is None else int(episode.intervention.sum())
+def _record(episode: EvalEpisode, outcome: Outcome) -> RolloutRecord:
+    recorded = outcome.episode
+    expert_steps = 0 if recorded is None else int(recorded.intervention.sum())
     kept = outcome.ended == STOPPED
     solved_without_expert = kept and expert_steps == 0
     return RolloutRecord(
-        setup.episode, setup.task, kept, outcome.ended, outcome.steps, expert_steps, solved_without_expert
+        episode.episode, episode.task, kept, outcome.ended, outcome.steps, expert_steps, solved_without_expert
     )
 
 

@@ -1,4 +1,4 @@
-"""beta: how much of the acting the expert does, round by round."""
+"""beta: the fraction of stretches in which the expert acts, round by round."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ class BetaConfig(draccus.ChoiceRegistry):
 @BetaConfig.register_subclass("zero")
 @dataclass(frozen=True)
 class ZeroConfig(BetaConfig):
-    """The policy alone acts, from the first round on."""
+    """Only the policy acts, from the first round on."""
 
     def at(self, number: int) -> float:
         return 0.0
@@ -28,12 +28,15 @@ class ZeroConfig(BetaConfig):
 @BetaConfig.register_subclass("constant")
 @dataclass(frozen=True)
 class ConstantConfig(BetaConfig):
-    """value: in every round."""
+    """The same in every round.
+
+    value: the probability.
+    """
 
     value: float = 0.2
 
     def __post_init__(self) -> None:
-        _share("constant.value", self.value)
+        _check_probability("constant.value", self.value)
 
     def at(self, number: int) -> float:
         return self.value
@@ -42,13 +45,17 @@ class ConstantConfig(BetaConfig):
 @BetaConfig.register_subclass("linear")
 @dataclass(frozen=True)
 class LinearConfig(BetaConfig):
-    """From `start` in round 1 down to 0 after `rounds` rounds."""
+    """Linear decay.
+
+    start: the probability in round 1.
+    rounds: after so many it is 0.
+    """
 
     start: float = 1.0
     rounds: int = 5
 
     def __post_init__(self) -> None:
-        _share("linear.start", self.start)
+        _check_probability("linear.start", self.start)
         if self.rounds < 1:
             raise UsageError(f"beta: linear.rounds must be 1 or more, got {self.rounds}")
 
@@ -59,19 +66,23 @@ class LinearConfig(BetaConfig):
 @BetaConfig.register_subclass("exponential")
 @dataclass(frozen=True)
 class ExponentialConfig(BetaConfig):
-    """`start` in round 1, and `base` times the last round's in every other: p^(i-1) in Ross et al. (2011)."""
+    """Exponential decay: p^(i-1) in Ross et al. (2011).
+
+    start: the probability in round 1.
+    base: factor from one round to the next.
+    """
 
     start: float = 1.0
     base: float = 0.5
 
     def __post_init__(self) -> None:
-        _share("exponential.start", self.start)
-        _share("exponential.base", self.base)
+        _check_probability("exponential.start", self.start)
+        _check_probability("exponential.base", self.base)
 
     def at(self, number: int) -> float:
         return float(self.start * self.base ** (number - 1))
 
 
-def _share(name: str, value: float) -> None:
+def _check_probability(name: str, value: float) -> None:
     if not 0 <= value <= 1:
         raise UsageError(f"beta: {name} is a probability between 0 and 1, got {value:g}")

@@ -1,4 +1,4 @@
-"""`playlearn demo`: from play to goal images reached in one job, which says how long it takes and what came of it."""
+"""`playlearn demo`: from play to a policy for goal images in one job, with its estimated time and its result."""
 
 from playlearn.demo.config import DemoConfig
 from playlearn.demo.job import demo

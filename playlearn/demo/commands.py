@@ -1,4 +1,4 @@
-"""Several commands side by side: what they say line by line, what they cost."""
+"""Several commands side by side: their output line by line, and what they cost."""
 
 import os
 import subprocess
@@ -31,11 +31,12 @@ def run_together(
 ) -> dict[str, Done]:
     """Run `program ARGUMENTS...` for each name at once, to their ends; where one fails the others are stopped.
 
-    optional: names that may fail without stopping anybody.
-    say: hears each line with the command's name before it. tick: called several times a second.
+    optional: names that may fail without stopping the others.
+    say: is called with each line of output, the command's name before it.
+    tick: called several times a second.
 
     Raises:
-        KeyboardInterrupt: on Ctrl-C, which the commands hear too, once all have ended.
+        KeyboardInterrupt: on Ctrl-C, which the commands receive too, once all have ended.
     """
     running = {name: _start([*program, *arguments]) for name, arguments in commands.items()}
     readers = [_read(name, process, say) for name, process in running.items()]
@@ -49,7 +50,7 @@ def run_together(
                         _stop([other for key, other in running.items() if key not in done])
             tick()
             time.sleep(POLL)
-        except KeyboardInterrupt:  # the whole group has heard it; each command keeps what is finished
+        except KeyboardInterrupt:  # the whole process group receives it; each command keeps what is finished
             interrupted = True
     for reader in readers:
         reader.join()
@@ -58,9 +59,9 @@ def run_together(
     return done
 
 
-def _start(words: Sequence[str]) -> "subprocess.Popen[str]":
+def _start(command: Sequence[str]) -> "subprocess.Popen[str]":
     return subprocess.Popen(
-        words,
+        command,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,

@@ -1,4 +1,4 @@
-"""What the demo is made of, and what each of its stages costs."""
+"""The stages of the demo, and what each of them costs."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +10,9 @@ from playlearn.errors import UsageError
 class Cost:
     """Core seconds of a stage, as multiples of the reference workload's (see `playlearn.demo.reference`).
 
-    simulation, learning: multiples of its two parts. cores: how many the stage keeps busy where there are so many.
+    simulation: multiple of its simulation part.
+    learning: multiple of its learning part.
+    cores: how many the stage keeps busy where there are so many.
     """
 
     simulation: float = 0.0
@@ -22,15 +24,19 @@ class Cost:
 class DemoConfig:
     """The demo's stages; each is a config of its own, budgeted in episodes and updates, not in minutes.
 
-    collect, state, encoder, dagger: configs of the play, of the state policy and the image encoder that learn from it
-        side by side, and of the policy's practice behind that encoder.
-    suite, episodes: what is evaluated in the end.
-    preview: the run of a shipped policy that shows, while play is collected, what this will come to.
+    collect: config of the play.
+    state: config of the state policy, which learns from it.
+    encoder: config of the image encoder, which learns from it at the same time.
+    dagger: config of the state policy's DAgger run behind that encoder.
+    suite: what the result is evaluated on.
+    episodes: of that evaluation.
+    preview: the run of a shipped policy that is shown while play is collected.
     preview_task: the task that it shows.
-    state_loss, encoder_loss: held-out losses, of the head and of where things are, above which a training has taught
-        too little to go on; measured, see eval/results/notebook.md.
+    state_loss: held-out loss of the state policy's head above which the demo stops; measured, see
+        eval/results/notebook.md.
+    encoder_loss: the same for the encoder's estimates of where objects are.
     costs: stage -> what it costs, for the estimate of time.
-    seed: of play and trainings.
+    seed: of play and training.
     """
 
     collect: Path = Path("configs/collect/demo.yaml")

@@ -1,12 +1,12 @@
 """`playlearn demo`: four stages, each done once.
 
 OUT/play/                   the play
-OUT/preview/report.html     what a shipped policy does, to be looked at meanwhile
+OUT/preview/report.html     what a shipped policy does, to be watched meanwhile
 OUT/state/, OUT/encoder/    the state policy and the image encoder, trained side by side
 OUT/dagger/                 a DAgger run of the state policy behind the encoder
 OUT/run/                    the two as one policy, a run like any other
 OUT/eval/                   its evaluation on goal images
-OUT/demo.json               what each stage cost, written when it is done: a stage that stands there is not done again
+OUT/demo.json               what each stage cost, written when it is done: a stage that is in it is not done again
 """
 
 import json
@@ -18,32 +18,32 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from playlearn.config import atomic_write, git_revision, load_config, to_dict, versions
+from playlearn.config import RunFolder, atomic_write, git_revision, load_config, to_dict, versions
+from playlearn.demo.checks import success_problem, training_problem
 from playlearn.demo.commands import Done, run_together
 from playlearn.demo.config import Cost, DemoConfig
 from playlearn.demo.reference import Reference, measure
-from playlearn.demo.verdict import judge_success, judge_training
-from playlearn.errors import PlaylearnError, UsageError
+from playlearn.errors import PlaylearnError
 from playlearn.evaluation import join_runs
 from playlearn.executor import available_cores
 from playlearn.training import TrainConfig
 
 RECORD = "demo.json"
-STOPPED = (130, -15)  # exit codes of who was asked to end
-OPTIONAL = ("film",)  # only to be looked at
+STOPPED = (130, -15)  # exit codes of a command that was interrupted or terminated
+OPTIONAL = ("film",)  # only to be watched
 EVERY = 60.0  # seconds between two estimates of the time left
 STAGES = ("collect play", "learn", "DAgger", "reach goal images")
 
 
 def demo(config: DemoConfig, out: Path, *, steps: int | None = None, say: Callable[[str], None] | None = None) -> None:
-    """Run the demo into `out`; what is done there already is not done again.
+    """Run the demo into `out`; stages that are done there are not repeated.
 
     steps: updates of every training, in place of their configs'.
 
     Raises:
         UsageError: `out` holds something else, or a config is missing.
-        PlaylearnError: a stage failed, or came to nothing; the message says which and why.
-        KeyboardInterrupt: on Ctrl-C; the same call goes on.
+        PlaylearnError: a stage failed or learned nothing; the message says which and why.
+        KeyboardInterrupt: on Ctrl-C; the same call continues.
     """
     job = _Demo(config, out, steps, say or _print)
     job.claim()
@@ -69,17 +69,11 @@ class _Demo:
 
     def claim(self) -> None:
         """Find what is done; raises UsageError where `out` was begun with another config."""
-        path, given = self.out / RECORD, {**json.loads(json.dumps(to_dict(self.config))), "steps": self.steps}
-        if path.is_file():
-            self.record = json.loads(path.read_text())
-            apart = [name for name in given if self.record["config"].get(name) != given[name]]
-            if apart:
-                raise UsageError(
-                    f"{self.out} was begun with another {', '.join(apart)}: give the same, or another --out"
-                )
+        folder, given = RunFolder(self.out, RECORD, "demo"), {**to_dict(self.config), "steps": self.steps}
+        if folder.begun():
+            self.record = json.loads(folder.file.read_text())
+            folder.check_same(self.record["config"], given)
             return
-        if self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
-            raise UsageError(f"{self.out} is there already and is no demo: choose another --out")
         self.out.mkdir(parents=True, exist_ok=True)
         self.record = {"config": given, "versions": versions(), "git_revision": git_revision(), "stages": {}}
         self.write()  # from now on this is a demo's folder, wherever it is interrupted
@@ -89,7 +83,7 @@ class _Demo:
         atomic_write(self.out / RECORD, json.dumps(self.record, indent=2).encode())
 
     def estimate(self) -> None:
-        """Time the reference workload and say how long everything will take."""
+        """Time the reference workload and print how long each stage will take."""
         self.say("timing this machine ...")
         self.reference = measure()
         self.record["reference"] = asdict(self.reference)
@@ -100,47 +94,31 @@ class _Demo:
             self.say(f"  {'all':<20} about {_minutes(sum(map(self._estimated, left)))}, on {available_cores()} cores")
 
     def collect(self) -> None:
-        """Play; meanwhile a shipped policy shows what this will come to."""
+        """Collect play; meanwhile show a shipped policy."""
         config, seed = self.config, str(self.config.seed)
         page = self.out / "preview" / "report.html"
         play = ["collect", "--config", str(config.collect), "--out", str(self.out / "play"), "--seed", seed, "--resume"]
-        shown = [
-            "eval",
-            "--run",
-            str(config.preview),
-            "--suite",
-            str(config.suite),
-            "--goal",
-            "image",
-            "--episodes",
-            "2",
-        ]
-        shown += [
-            "--no-baselines",
-            "--workers",
-            "1",
-            "--out",
-            str(page.parent),
-            f"--kind.tasks=[{config.preview_task}]",
-        ]
-        told = page.is_file()
+        film = ["eval", "--run", str(config.preview), "--suite", str(config.suite), "--goal", "image"]
+        film += ["--episodes", "2", "--no-baselines", "--workers", "1", "--out", str(page.parent)]
+        film += [f"--kind.tasks=[{config.preview_task}]"]
+        announced = page.is_file()
 
         def watch() -> None:
-            nonlocal told
-            if not told and page.is_file():
-                told = True
-                self.say(f"a film of a shipped policy, this is what yours will do: {page}")
+            nonlocal announced
+            if not announced and page.is_file():
+                announced = True
+                self.say(f"a film of a shipped policy; yours will do the same: {page}")
                 if sys.stdout.isatty():
                     webbrowser.open(page.resolve().as_uri())
 
-        commands = {"play": play} if told else {"play": play, "film": shown}
+        commands = {"play": play} if announced else {"play": play, "film": film}
         self._stage("collect play", commands, watch)
 
     def learn(self) -> None:
-        """The state policy and the image encoder, side by side.
+        """Train the state policy and the image encoder side by side.
 
         Raises:
-            PlaylearnError: one of them has learned too little to go on.
+            PlaylearnError: one of them learned too little for the next stage.
         """
         config = self.config
         commands = {
@@ -148,17 +126,17 @@ class _Demo:
             "encoder": self._training(config.encoder, "encoder"),
         }
         self._stage("learn", commands)
-        for words, name, path, part, level in (
+        for what, name, path, part, level in (
             ("the state policy", "state", config.state, "head", config.state_loss),
             ("the image encoder", "encoder", config.encoder, "achieved", config.encoder_loss),
         ):
             planned = load_config(TrainConfig, path).steps
-            trouble = judge_training(words, self.out / name, part, level, planned)
-            if trouble:
-                raise PlaylearnError(f"the demo ends here: {trouble}")
+            problem = training_problem(what, self.out / name, part, level, planned)
+            if problem:
+                raise PlaylearnError(f"the demo stops here: {problem}")
 
     def dagger(self) -> None:
-        """DAgger behind the encoder; then the two become one run."""
+        """DAgger behind the encoder; then join the two into one run."""
         folder = self.out / "dagger"
         command = [
             "dagger",
@@ -176,16 +154,16 @@ class _Demo:
         join_runs(folder, self.out / "encoder", self.out / "run")
 
     def evaluate(self) -> None:
-        """Goal images that it has never seen; raises PlaylearnError where that is no better than chance."""
+        """Evaluate on unseen goal images; raises PlaylearnError where that is no better than a random policy."""
         folder = self.out / "eval"
         command = ["eval", "--run", str(self.out / "run"), "--suite", str(self.config.suite), "--goal", "image"]
         command += ["--episodes", str(self.config.episodes), "--out", str(folder)]
         self._stage("reach goal images", {"eval": command})
         results = json.loads((folder / "results.json").read_text())
         self._table(results)
-        trouble = judge_success(results)
-        if trouble:
-            raise PlaylearnError(trouble)
+        problem = success_problem(results)
+        if problem:
+            raise PlaylearnError(problem)
 
     def _training(self, config: Path, name: str) -> list[str]:
         run = self.out / name
@@ -195,7 +173,7 @@ class _Demo:
         return command + ([] if self.steps is None else [f"--steps={self.steps}"])
 
     def _stage(self, name: str, commands: Mapping[str, Sequence[str]], watch: Callable[[], None] | None = None) -> None:
-        """Run a stage's commands, unless it is done; write down what it cost."""
+        """Run a stage's commands, unless it is done; record what it cost."""
         if name in self.record["stages"]:
             self.say(f"== {name}: done already")
             return
@@ -227,12 +205,12 @@ class _Demo:
         self.write()
 
     def _check(self, name: str, done: Mapping[str, Done]) -> None:
-        """Raises PlaylearnError where a command failed; those that were stopped because of it are not to blame."""
+        """Raises PlaylearnError where a command failed; names it, not those that were stopped because of it."""
         failed = {key: one.code for key, one in done.items() if one.code and key not in OPTIONAL}
         if failed:
             key = min(failed, key=lambda key: failed[key] in STOPPED)
-            why = f"{key} ended with exit code {failed[key]} (it said why above)"
-            raise PlaylearnError(f"{name}: {why}; the same command goes on from there")
+            why = f"{key} ended with exit code {failed[key]} (see its message above)"
+            raise PlaylearnError(f"{name}: {why}; the same command continues from there")
 
     def _estimated(self, name: str) -> float:
         """Seconds of a stage on this machine, by the reference workload."""
@@ -249,9 +227,9 @@ class _Demo:
             )
         low, high = results["ci95"]
         self.say(
-            f"goal images reached: {results['success_rate']:.1%} [{low:.1%}, {high:.1%}] of {results['episodes']}\n"
-            "privileged information used: the simulator drew scenes with their true states, and a scripted "
-            "expert corrected the practice; the policy itself sees images and the robot's state\n"
+            f"success on goal images: {results['success_rate']:.1%} [{low:.1%}, {high:.1%}] of {results['episodes']}\n"
+            "privileged information in training: scenes rendered with their true states, and a scripted expert that "
+            "labels rollouts; the policy itself sees images and the robot's state\n"
             f"the report: {self.out / 'eval' / 'report.html'}"
         )
 

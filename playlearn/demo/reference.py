@@ -1,6 +1,6 @@
-"""A fixed workload, timed on the machine at hand: what a stage costs is told as a multiple of it.
+"""A fixed workload, timed on this machine: the cost of a stage is given as a multiple of it.
 
-Two parts, because processors differ in them: `simulation` steps PlayTable under its scripted player, `learning` makes
+Two parts, because processors differ in them: `simulation` steps PlayTable under its play policy, `learning` makes
 updates of a small convolutional network. One thread, one core; a few seconds.
 """
 
@@ -21,7 +21,7 @@ STEPS, UPDATES = 200, 40
 
 @dataclass(frozen=True)
 class Reference:
-    """Seconds that each part takes here: of wall clock, so that other work on the machine shows."""
+    """Seconds of wall clock that each part takes, so that other load on the machine counts."""
 
     simulation: float
     learning: float
@@ -34,12 +34,12 @@ def measure() -> Reference:
 
 def _simulation() -> float:
     environment = PlayTableConfig().build()
-    player = PlayConfig().build(environment)
+    policy = PlayConfig().build(environment)
     seconds = 0.0
     for steps in (10, STEPS):
         environment.reset(0)
         began = time.perf_counter()
-        rollout([environment], player, [None], seeds=[0], max_steps=steps)
+        rollout([environment], policy, [None], seeds=[0], max_steps=steps)
         seconds = time.perf_counter() - began
     return seconds
 

@@ -1,21 +1,19 @@
 """What one worker does: set up a few episodes, roll out every actor on them, check success at each step."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
 
-from playlearn.config import from_dict, to_dict
 from playlearn.episode import Array, Observation
 from playlearn.errors import RenderError
 from playlearn.evaluation.actor_recipes import ActorRecipe, ExpertRecipe
 from playlearn.evaluation.suite import EvalEpisode, SuiteConfig, derived_seed
+from playlearn.process_cache import cached_env, cached_envs
 from playlearn.report.pictures import Pictures, draw
 from playlearn.rollout import LENGTH, STOPPED, Actor, Outcome, rollout
-from playlearn.sim.environment import Environment, EnvironmentConfig, EnvironmentSpec
+from playlearn.sim.environment import Environment, EnvironmentSpec
 
 LOST = "(worker lost)"
 
@@ -104,7 +102,7 @@ def run_batch(
 
     A pure function of its arguments. An error in a rollout counts as a failure; an error before it is raised.
     """
-    envs = _envs(_key(suite.environment), suite.num_envs)[: len(episodes)]
+    envs = cached_envs(suite.environment, len(episodes))
     actors = [recipe.build(envs[0]) for recipe in recipes]
     cameras = tuple(dict.fromkeys(camera for recipe in recipes for camera in recipe.cameras()))
     eval_episodes = [
@@ -253,20 +251,9 @@ def _renderer(env: Environment) -> str:
         return "none"
 
 
-def _key(config: EnvironmentConfig) -> str:
-    return json.dumps({"type": config.get_choice_name(type(config)), **to_dict(config)}, sort_keys=True)
-
-
-@cache
-def _envs(key: str, count: int) -> list[Environment]:
-    """The environments of this process, built once: building them is slow."""
-    first = from_dict(EnvironmentConfig, json.loads(key)).build()
-    return [first, *(first.clone() for _ in range(count - 1))]
-
-
 def env_of(suite: SuiteConfig) -> Environment:
     """The first environment of this process, in any state."""
-    return _envs(_key(suite.environment), suite.num_envs)[0]
+    return cached_env(suite.environment)
 
 
 def draw_trajectory(suite: SuiteConfig, trajectory: Trajectory, film: bool) -> Pictures:

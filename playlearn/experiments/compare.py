@@ -1,8 +1,7 @@
-"""`playlearn compare`: variants of one training config, on the same play, judged on the same episodes.
+"""`playlearn compare`: variants of one training config, on the same play, evaluated on the same episodes.
 
-Every (variant, seed) is trained and judged in a folder of its own and by one process of one thread, so that
-what each took compares; what is finished is not done again. In the end each variant's latency is measured,
-with nothing else of ours running.
+Every (variant, seed) is trained and evaluated in a folder of its own, by one process of one thread, so that times
+compare; what is finished is not done again. In the end each variant's latency is measured, with no other job running.
 """
 
 import contextlib
@@ -15,10 +14,9 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-import yaml
 
 from playlearn.batch import Inputs
-from playlearn.config import atomic_write, git_revision, load_config, save_config, to_dict, versions
+from playlearn.config import RunFolder, atomic_write, git_revision, load_config, save_config, to_dict, versions
 from playlearn.errors import NotLearnedError, PlaylearnError, UsageError
 from playlearn.evaluation import evaluate
 from playlearn.executor import Job, LocalExecutorConfig
@@ -29,17 +27,22 @@ from playlearn.report.progress import Progress
 from playlearn.training import TrainConfig, train
 
 Row = dict[str, Any]
-_CHUNKS = 100  # of which the latency's quantiles are taken, after a few that warm up
+_CHUNKS = 100  # from which the latency's quantiles are taken, after a few for warm-up
 
 
 @dataclass(frozen=True)
 class CompareConfig:
     """What is compared.
 
-    base: YAML of the training config that all variants share. common: fields of it that are set otherwise here,
-        for all. variants: name -> the fields in which each differs (`policy.head.type: diffusion`).
-    suite, goal, episodes: what all are judged on. judged: its seed. n_action_steps: actions of a chunk carried out.
-    seeds: each trains every variant anew.
+    base: YAML of the training config that all variants start from.
+    suite: what all are evaluated on.
+    variants: name -> the fields in which each differs (`policy.head.type: diffusion`).
+    common: fields of `base` that are set differently here, for all.
+    goal: how goals are shown.
+    episodes: of each evaluation.
+    eval_seed: of each evaluation.
+    n_action_steps: actions of a chunk that are executed before the next plan (null: the suite's).
+    seeds: of training; each trains every variant.
     """
 
     base: Path
@@ -63,13 +66,13 @@ class CompareConfig:
 
 
 def compare(config: CompareConfig, out: Path, workers: int | None = None) -> list[Row]:
-    """Train and judge what is not there yet; leave results.json, table.md, plot.png in `out`, the runs under runs/.
+    """Train and evaluate what is not there yet; leave results.json, table.md, plot.png in `out`, the runs under runs/.
 
     Returns one row a variant.
 
     Raises:
         UsageError: a variant's config is wrong, or `out` holds another comparison.
-        PlaylearnError: a run failed; the others are kept, and the same command goes on from there.
+        PlaylearnError: a run failed; the others are kept, and the same command continues from there.
     """
     if not config.variants or not config.seeds:
         raise UsageError("there is nothing to compare: give `variants` and `seeds`")
@@ -112,20 +115,12 @@ def compare(config: CompareConfig, out: Path, workers: int | None = None) -> lis
 
 
 def _claim(config: CompareConfig, out: Path) -> None:
-    written = out / "compare.yaml"
-    if not written.is_file():
-        if out.exists() and any(out.iterdir()):
-            raise UsageError(f"{out} is there already and holds no comparison: choose another --out")
-        out.mkdir(parents=True, exist_ok=True)
-    else:
-        before, now = yaml.safe_load(written.read_text()), to_dict(config)
-        # a variant or a seed may be added or left out, what is there already stays as it is
-        apart = [name for name in now if name not in ("variants", "seeds") and before.get(name) != now[name]]
-        shared = before["variants"].keys() & now["variants"].keys()
-        apart += [f"variants.{name}" for name in shared if before["variants"][name] != now["variants"][name]]
-        if apart:
-            raise UsageError(f"{out} compared with another {', '.join(sorted(apart))}: choose another --out")
-    save_config(config, written)
+    # A variant or a seed may be added or left out; the runs that are there stay.
+    folder = RunFolder(out, "compare.yaml", "comparison", adjustable=("seeds",), entries=("variants",))
+    if folder.begun():
+        folder.check_same(to_dict(load_config(CompareConfig, folder.file)), to_dict(config))
+    out.mkdir(parents=True, exist_ok=True)
+    save_config(config, folder.file)
 
 
 def _folder(out: Path, name: str, seed: int) -> Path:
@@ -133,7 +128,7 @@ def _folder(out: Path, name: str, seed: int) -> Path:
 
 
 def _one(training: TrainConfig, folder: Path, compare: CompareConfig) -> Row:
-    """Train and judge one variant under one seed, or read what came of it before."""
+    """Train and evaluate one variant under one seed, or read its row from an earlier call."""
     done = folder / "row.json"
     if done.is_file():
         row: Row = json.loads(done.read_text())
@@ -143,9 +138,9 @@ def _one(training: TrainConfig, folder: Path, compare: CompareConfig) -> Row:
         began, resumed = time.process_time(), (folder / "config.yaml").is_file()
         try:
             train(training, folder, resume=resumed)
-        except NotLearnedError as error:  # a comparison may hold one that learns nothing: its row says so
+        except NotLearnedError as error:  # a comparison may hold one that learns nothing: its row shows it
             print(error, file=log, flush=True)
-        core_seconds = None if resumed else round(time.process_time() - began, 1)  # of an interrupted one: not known
+        core_seconds = None if resumed else round(time.process_time() - began, 1)  # unknown for an interrupted one
         results = evaluate(
             compare.suite,
             run=folder,
@@ -173,17 +168,17 @@ def _one(training: TrainConfig, folder: Path, compare: CompareConfig) -> Row:
 
 
 def _gather(name: str, rows: Sequence[Row], latency: Mapping[str, float]) -> Row:
-    """One variant's seeds together: the interval is that of all episodes as if they were one run's."""
+    """One variant's seeds together: the interval treats all episodes as one run's."""
     episodes = sum(row["episodes"] for row in rows)
-    reached = sum(round(row["success_rate"] * row["episodes"]) for row in rows)
+    successes = sum(round(row["success_rate"] * row["episodes"]) for row in rows)
     tasks = {
         task: float(np.mean([row["tasks"][task]["success_rate"] for row in rows if task in row["tasks"]]))
         for task in sorted({task for row in rows for task in row["tasks"]})
     }
     return {
         "variant": name,
-        "success_rate": reached / episodes,
-        "ci95": list(wilson(reached, episodes)),
+        "success_rate": successes / episodes,
+        "ci95": list(wilson(successes, episodes)),
         "episodes": episodes,
         "by_seed": [row["success_rate"] for row in rows],
         "crashed": sum(row["crashed"] for row in rows),
@@ -197,7 +192,7 @@ def _gather(name: str, rows: Sequence[Row], latency: Mapping[str, float]) -> Row
 
 
 def _mean(values: Iterable[float | None]) -> float | None:
-    """Of those that are known."""
+    """The mean of those that are known."""
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if known else None
 
@@ -216,7 +211,7 @@ def _latency(path: Path) -> dict[str, float]:
 
 
 def blank(policy: Policy) -> Inputs:
-    """One example of what a policy reads: all numbers at the data's mean, all images black."""
+    """One example of a policy's inputs: all numbers at the data's mean, all images black."""
     spec, encoder, steps = policy.spec, policy.config.encoder, policy.config.history
     state, achieved = policy.normalizer.get_buffer("state_mean"), policy.normalizer.get_buffer("achieved_mean")
 

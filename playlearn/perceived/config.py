@@ -1,4 +1,4 @@
-"""Whose estimates are learned from, and how often they are made."""
+"""Which encoder's estimates are learned from, and at how many moments."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,10 +8,11 @@ from playlearn.errors import UsageError
 
 @dataclass(frozen=True)
 class PerceivedConfig:
-    """encoder: a run whose image encoder tells where things are, now and in a goal image.
+    """Play as an image encoder perceives it.
 
-    every: steps between two moments at which it looks; what it gets wrong there counts for the moments around. folder:
-    where that is kept, for several runs to share; null for the run's own.
+    encoder: a run whose image encoder estimates where objects are, in observations and goal images.
+    every: steps between two moments that are estimated; the errors there are applied to the moments around them.
+    folder: where the estimates are kept, for several runs to use; null for the run's own.
     """
 
     encoder: Path

@@ -30,7 +30,7 @@ class Perceived:
         self.observed, self.wanted = map(np.concatenate, errors.values())  # (sum T+1, G), rows as in the dataset
 
     def __call__(self, recorded: Recorded, epoch: int | Indices, indices: Indices) -> Batch:
-        """The batch of these examples, with `achieved` and the goal's as they would be perceived."""
+        """The batch of these examples, with `achieved` and the goal's as the encoder perceives them."""
         batch, dataset = recorded(epoch, indices), self.dataset
         episodes, t = dataset.where(indices)
         first = dataset.table.rows[np.searchsorted(dataset.episodes, episodes)]

@@ -1,6 +1,6 @@
-"""Images that a simulator draws of many scenes, with what is true of them: what an image encoder learns from.
+"""Images that a simulator renders of many scenes, with the true state: what an image encoder learns from.
 
-What it knows there is privileged: where everything is, and where in the picture each camera sees it.
+The true state is privileged information: where each object is, and where in the image each camera sees it.
 """
 
 from playlearn.scenes.config import ScenesConfig

@@ -1,4 +1,4 @@
-"""Which scenes are drawn, how many, and how often they are shown."""
+"""Which scenes are rendered, how many, and how often training shows them."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,14 +8,14 @@ from playlearn.errors import UsageError
 
 @dataclass(frozen=True)
 class ScenesConfig:
-    """Scenes that the simulator draws from a store's recorded states, with the true state: privileged information.
+    """Scenes that the simulator renders from a store's recorded states, with the true state: privileged information.
 
-    per_episode: scenes drawn of each episode, at random moments.
-    rearranged: fraction of them whose objects are placed anew, as a random start of the environment places them; the
-        robot stays as it was recorded, and so does all of a held-out episode's scenes.
+    per_episode: scenes of each episode, at random moments.
+    rearranged: fraction of them whose objects are placed anew, as a random start of the environment places them. The
+        robot stays as recorded; scenes of held-out episodes are never rearranged.
     fraction: of the training examples, how many are scenes; at 1 the store needs no images of its own.
-    seed: of the moments and of what is placed anew.
-    folder: where they are kept, for several runs to share; null for the run's own.
+    seed: of the moments and the rearrangements.
+    folder: where they are kept, for several runs to use; null for the run's own.
     """
 
     per_episode: int = 120

@@ -1,4 +1,4 @@
-"""Drawn scenes as training examples without actions: the same ones in the same epoch for any number of workers."""
+"""Rendered scenes as training examples without actions: the same in the same epoch for any number of workers."""
 
 import functools
 from collections.abc import Iterator
@@ -21,9 +21,9 @@ _SEED = 0x5CE4E5  # so that these orders are not those of the play
 
 
 class Scenes:
-    """Scenes that `draw_scenes` left in a folder, each its own goal: one look at it then teaches both.
+    """Scenes that `draw_scenes` left in a folder, each its own goal: one image serves as observation and as goal.
 
-    An example's actions are masked: only what is learned of the images counts.
+    An example's actions are masked: only the image encoder learns from it.
     """
 
     def __init__(
@@ -36,7 +36,7 @@ class Scenes:
         labels: tuple[int, int],
         seed: int,
     ) -> None:
-        """numbers: of the episodes whose scenes are shown. labels: H and A of the masked actions.
+        """numbers: of the episodes whose scenes are used. labels: H and A of the masked actions.
 
         Raises:
             StoreError: a file is missing or damaged.

@@ -1,24 +1,21 @@
-"""Draw scenes of a store's episodes, on all cores; an interrupted drawing goes on where it stopped."""
+"""Render scenes of a store's episodes, on all cores; an interrupted call continues where it stopped."""
 
-import functools
-import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-import playlearn.envs  # noqa: F401 - registers the environments
-from playlearn.config import from_dict
 from playlearn.episode import IMAGES, Array
+from playlearn.episode_jobs import missing, run_jobs
 from playlearn.errors import UsageError
-from playlearn.executor import Job, LocalExecutorConfig
+from playlearn.executor import Job
 from playlearn.layout import ObjectLayout
-from playlearn.report.progress import Progress
+from playlearn.process_cache import cached_env_of, cached_note, cached_store
 from playlearn.scenes.config import ScenesConfig
-from playlearn.sim import Environment, EnvironmentConfig
-from playlearn.store import Store, episode_path, open_store
+from playlearn.sim import Environment
+from playlearn.store import Store, episode_path
 from playlearn.store.folder import claim
 from playlearn.store.tensors import write_tensors
 
@@ -28,10 +25,10 @@ KEYPOINTS = "keypoints."
 
 @runtime_checkable
 class SceneEnvironment(Environment, Protocol):
-    """An environment whose objects can be placed anew around the robot, and whose cameras' geometry is known."""
+    """An environment that can rearrange its objects around the robot, and whose cameras' geometry is known."""
 
     def rearrange(self, rng: np.random.Generator) -> None:
-        """Place the objects as a random start does, the robot staying where it is; only to be looked at."""
+        """Place the objects as a random start does; the robot stays where it is. The state is only for rendering."""
         ...
 
     def project(self, camera: str, points: Array) -> Array:
@@ -49,12 +46,13 @@ def draw_scenes(
 ) -> None:
     """Leave in `folder` a file for each episode of the store; those that are there already stay.
 
-    A file holds of n scenes: observation.state (n, S), achieved (n, G), images of `cameras` (n, h, w, 3) uint8, and
+    A file holds, of n scenes: observation.state (n, S), achieved (n, G), images of `cameras` (n, h, w, 3) uint8, and
     under `keypoints.CAMERA` where that camera sees the objects of `ObjectLayout.places`, (n, O, 2) float32.
-    held_out: (N,) which are.
+
+    val_mask: (N,) which episodes are held out.
 
     Raises:
-        UsageError: `folder` was drawn with other settings, or the store's environment cannot be rearranged or drawn.
+        UsageError: `folder` was made with other settings, or the store's environment cannot be rearranged or rendered.
         StoreError: the store lacks simulator states, or the disk is full.
     """
     note = {
@@ -71,29 +69,21 @@ def draw_scenes(
                 "source": store.name(),
                 "out": str(folder),
                 "index": int(number),
-                "rearranged": 0.0 if out else config.rearranged,
+                "rearranged": 0.0 if held_out else config.rearranged,
             },
         )
-        for number, out in zip(store.indices(), val_mask, strict=True)
-        if not episode_path(folder, int(number)).exists()
+        for number, held_out in zip(store.indices(), val_mask, strict=True)
     ]
-    if not jobs:
-        return
-    with (
-        LocalExecutorConfig(workers=workers).build() as executor,
-        Progress(f"scenes {folder}", len(store), "episode", len(store) - len(jobs), executor.workers) as progress,
-    ):
-        for count, result in enumerate(executor.run(jobs), len(store) - len(jobs) + 1):
-            progress.to(count, seconds=result.seconds)
+    run_jobs(f"scenes {folder}", missing(jobs, folder), len(jobs), workers)
 
 
 def scene_sizes(store: Store, cameras: Sequence[str]) -> dict[str, tuple[int, int]]:
-    """Camera -> (height, width) of what the store's environment draws.
+    """Camera -> (height, width) of what the store's environment renders.
 
     Raises:
-        UsageError: it has no such camera, or its scenes cannot be drawn.
+        UsageError: it has no such camera, or cannot be rearranged.
     """
-    environment = _environment(json.dumps(dict(store.spec.environment)))
+    environment = _environment(store)
     unknown = [camera for camera in cameras if camera not in environment.spec.cameras]
     if unknown:
         raise UsageError(f"scenes: there is no camera {unknown[0]!r}; there is {', '.join(environment.spec.cameras)}")
@@ -102,9 +92,9 @@ def scene_sizes(store: Store, cameras: Sequence[str]) -> dict[str, tuple[int, in
 
 
 def draw(source: str, out: str, index: int, rearranged: float) -> None:
-    """Scenes of the episode that was recorded under `index`: what a worker does."""
-    store, note = _store(source), _note(out)
-    environment = _environment(json.dumps(dict(store.spec.environment)))
+    """Render scenes of the episode that was recorded under `index`: one job."""
+    store, note = cached_store(source), cached_note(str(Path(out) / NOTE))
+    environment = _environment(store)
     states = store.array(int(np.searchsorted(store.indices(), index)), "sim.state")
     rng = np.random.default_rng((int(note["seed"]), index))
     cameras, objects = tuple(note["sizes"]), ObjectLayout(environment.spec.achieved_names).places().values()
@@ -125,23 +115,10 @@ def draw(source: str, out: str, index: int, rearranged: float) -> None:
     )
 
 
-@functools.cache
-def _store(path: str) -> Store:
-    return open_store(path)
-
-
-@functools.cache
-def _note(folder: str) -> dict[str, Any]:
-    note: dict[str, Any] = json.loads((Path(folder) / NOTE).read_text())
-    return note
-
-
-@functools.cache
-def _environment(config: str) -> SceneEnvironment:
-    environment = from_dict(EnvironmentConfig, json.loads(config)).build()
-    environment.reset(0)
+def _environment(store: Store) -> SceneEnvironment:
+    environment = cached_env_of(store)
     if not isinstance(environment, SceneEnvironment):
         raise UsageError(
-            "scenes: this environment cannot place its objects anew (`rearrange`, `project`); leave them out"
+            "scenes: this environment cannot rearrange its objects (`rearrange`, `project`); leave them out"
         )
     return environment

@@ -6,7 +6,6 @@ with e (6,) the error of the end effector's pose and J (6, n) the arm's Jacobian
 """
 
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
 
 import mujoco
 import numpy as np
@@ -18,23 +17,6 @@ _ROUNDS = 30
 _WITHIN = (5e-4, 2e-3)  # meters and radians of error that are accepted
 
 
-@runtime_checkable
-class HandDisplacement(Protocol):
-    """An environment whose end effector can be displaced."""
-
-    def displace(self, shift: Array, turn: Array) -> bool:
-        """Move the end effector by `shift` (3,) m and the rotation vector `turn` (3,) rad, both in the world frame.
-
-        Only the arm's joints change; velocities stay. Returns whether it got there and touches nothing; otherwise
-        the environment is unusable until `set_state`.
-        """
-        ...
-
-    def touching(self) -> bool:
-        """Whether any part of the robot touches something that is not the robot."""
-        ...
-
-
 def displace(
     model: mujoco.MjModel,
     data: mujoco.MjData,
@@ -44,7 +26,7 @@ def displace(
     shift: Array,
     turn: Array,
 ) -> bool:
-    """See `HandDisplacement.displace`. qpos, qvel: (n,) indices of the arm's hinges."""
+    """See `RobosuiteEnv.displace`. qpos, qvel: (n,) indices of the arm's hinges."""
     mujoco.mj_kinematics(model, data)
     place = data.site_xpos[site] + shift
     facing: Array = _rotation(turn) @ data.site_xmat[site].reshape(3, 3)

@@ -8,8 +8,8 @@ from typing import Any
 
 import filelock
 
-from playlearn.config import atomic_write, sync_folder
-from playlearn.errors import StoreError, UsageError
+from playlearn.config import RunFolder, atomic_write, sync_folder
+from playlearn.errors import StoreError
 from playlearn.store.tensors import TEMPORARY
 
 SUFFIX = ".safetensors"
@@ -64,16 +64,13 @@ def claim(folder: Path, name: str, note: Mapping[str, Any], what: str) -> None:
     Raises:
         UsageError: the files there were made with something else.
     """
-    path = folder / name
-    if not path.exists():
-        make_folder(folder / "episodes")
-        atomic_write(path, json.dumps(note, indent=2).encode())
+    claimed = RunFolder(folder, name, what, f"name another {what}.folder", leftovers=("episodes",))
+    if claimed.begun():
+        sweep(folder)
+        claimed.check_same(json.loads(claimed.file.read_text()), note)
         return
-    sweep(folder)
-    before, now = json.loads(path.read_text()), json.loads(json.dumps(note))
-    changed = sorted(key for key in before.keys() | now.keys() if before.get(key) != now.get(key))
-    if changed:
-        raise UsageError(f"{folder} holds {what} of another {', '.join(changed)}: name another {what}.folder")
+    make_folder(folder / "episodes")
+    atomic_write(claimed.file, json.dumps(note, indent=2).encode())
 
 
 def sweep(folder: Path) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from playlearn.config import atomic_write
+from playlearn.config import RunFolder, atomic_write
 from playlearn.episode import Episode
 from playlearn.errors import StoreError, UsageError
 from playlearn.store.base import StoreSpec, plain
@@ -90,9 +90,7 @@ def _begin(recordings: Recordings, out: Path) -> NativeStore:
         before = json.loads((out / NOTE).read_text())
     except (OSError, ValueError) as error:
         raise UsageError(f"{out} was not made by `playlearn import` (no {NOTE} to read): give another OUT") from error
-    changed = sorted(key for key in before.keys() | note.keys() if before.get(key) != note.get(key))
-    if changed:
-        raise UsageError(f"{out} was imported with another {', '.join(changed)}: give the same, or another OUT")
+    RunFolder(out, NOTE, "import", "give another OUT").check_same(before, note)
     store.spec.check(recordings.spec)
     return store
 

@@ -1,4 +1,4 @@
-"""What a training run is made from, and what a folder must be for it to go there."""
+"""What a training run is made from, and which folder it may go into."""
 
 import dataclasses
 import json
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from playlearn.config import load_config, to_dict
+from playlearn.config import RunFolder, load_config, to_dict
 from playlearn.corrections import CorrectionsConfig
 from playlearn.data import DataConfig
 from playlearn.data.mixture import DatasetSource
@@ -17,7 +17,7 @@ from playlearn.policies import PolicyConfig
 from playlearn.scenes import ScenesConfig
 from playlearn.store import StoreConfig
 
-# What may differ between a run and its resumption: how long it goes on, and what it says meanwhile.
+# What may differ between a run and its resumption: how long it is, and what it logs.
 ADJUSTABLE = ("steps", "max_minutes", "val_every", "checkpoint_every", "log_every", "tracker")
 
 
@@ -25,26 +25,38 @@ ADJUSTABLE = ("steps", "max_minutes", "val_every", "checkpoint_every", "log_ever
 class TrainConfig:
     """A training run.
 
-    store: the play, a folder or a kind with its settings (`{type: lerobot, repo_id: user/name}`). data: how examples
-    are cut from it; its history, chunk, cameras and goal_names are the policy's.
-    corrections: moments with the hand put aside and the way back as label, made before the first update and shown
-    among the recorded ones (see CorrectionsConfig); null for none.
-    scenes: images that the simulator draws of the store's recorded states and of others, with the true state, for an
-    image encoder to learn from (see ScenesConfig); null for none.
+    store: the play, a folder or a kind with its settings (`{type: lerobot, repo_id: user/name}`).
+    data: how examples are cut from it; its history, chunk, cameras and goal_names are the policy's.
+    policy: what is trained.
+    corrections: displaced moments of play, labeled with the way back, made before the first update and mixed into the
+        recorded ones (see CorrectionsConfig); null for none.
+    scenes: images rendered from the store's recorded states and from rearranged ones, with the true state, that an
+        image encoder learns from (see ScenesConfig); null for none.
     perceived: play as an image encoder perceives it, for a state policy that is to act behind that encoder (see
-    PerceivedConfig); null for true states.
-    more: further play beside it, each store with its share of every batch. init: a run from whose policy training goes
-    on, weights and normalization; null for a fresh one. It may be a state policy: all but the image encoder is loaded,
-    which starts fresh (needs `use_estimated_state`).
-    learn: shell-style patterns of the parameters that are trained; all others stay as they are.
-    batch_size: examples an update and process. steps: updates, unless max_minutes of wall clock are over
-    before; the learning rate then falls with whichever is further on, and a resumed run is no longer bit for
-    bit an unbroken one. lr: peak learning rate, after `warmup` updates, then a cosine to zero.
-    grad_clip: largest norm of the gradient. ema_decay: of the averaged weights, which are evaluated and saved.
-    val_every, checkpoint_every, log_every: in updates. val_batches: of held-out play, always the same.
-    tracker: where metrics go besides `metrics.jsonl`. precision: float32, or bf16 where the device is good at it.
-    cpu: stay off an accelerator that is there. threads: of the processor, for each process, whatever a launcher says.
-    On two cores, two are 1.3 times as quick as one while nothing else runs; beside a busy process, a quarter as quick.
+        PerceivedConfig); null for true states.
+    extra_datasets: further stores of play, each with its fraction of every batch.
+    init_from: a run whose policy training starts from, weights and normalization; null for a fresh one. It may be a
+        state policy: its trunk and head are loaded, the image encoder starts fresh (needs `use_estimated_state`).
+    trainable: shell-style patterns of the parameters that are trained; all others stay as they are.
+    batch_size: examples for each update and process.
+    steps: updates.
+    max_minutes: of wall clock, after which training ends even if `steps` are not done (null: no limit). The learning
+        rate then follows whichever is further on, and a resumed run is not bit for bit an unbroken one.
+    lr: peak learning rate, after `warmup` updates; then a cosine to zero.
+    warmup: updates over which the learning rate rises.
+    weight_decay: of AdamW, on matrices only, not on biases and norms.
+    grad_clip: largest norm of the gradient.
+    ema_decay: of the averaged weights, which are evaluated and saved.
+    val_every: updates between two evaluations on held-out play.
+    val_batches: batches of held-out play, always the same.
+    checkpoint_every: updates between two checkpoints.
+    log_every: updates between two lines of `metrics.jsonl`.
+    seed: of initial weights, examples and noise.
+    tracker: where metrics go besides `metrics.jsonl`.
+    precision: float32, or bf16 where the device supports it well.
+    cpu: train on the CPU even where there is an accelerator.
+    threads: CPU threads of each process, whatever a launcher sets. On two cores, two threads are 1.3 times as fast as
+        one on an idle machine, and a quarter as fast beside a busy process.
     """
 
     store: Path | StoreConfig = Path("datasets/play")
@@ -91,10 +103,14 @@ class TrainConfig:
         if self.max_minutes is not None and self.max_minutes <= 0:
             raise UsageError(f"max_minutes must be above 0 or null, got {self.max_minutes}")
         if self.corrections is not None and self.data.target == "next_settled_delta":
-            raise UsageError("corrections teach actions: leave them out where data.target is change")
+            raise UsageError(
+                "corrections are labels of actions: leave them out where data.target is next_settled_delta"
+            )
         if self.perceived is not None:
             if self.policy.encoder.observation_cameras:
-                raise UsageError("perceived: this policy looks at images itself; only a state policy is told of them")
+                raise UsageError(
+                    "perceived: this policy sees images itself; only a state policy acts on an encoder's estimates"
+                )
             if self.corrections is not None or self.scenes is not None:
                 raise UsageError("perceived goes with neither corrections nor scenes: leave those out")
         if self.scenes is not None:
@@ -103,7 +119,8 @@ class TrainConfig:
             rest = 1 - self.scenes.fraction - sum(source.fraction for source in self.extra_datasets)
             if rest <= 0 and not (self.scenes.fraction == 1 and not self.extra_datasets):
                 raise UsageError(
-                    "scenes.fraction and the shares of `more` leave nothing to the play: let them add up to less"
+                    "scenes.fraction and the fractions of `extra_datasets` leave nothing for the play: "
+                    "let them add up to less than 1"
                 )
         if not 0 <= self.ema_decay < 1:
             raise UsageError(f"ema_decay must be in [0, 1), got {self.ema_decay}")
@@ -111,7 +128,7 @@ class TrainConfig:
     def resolved(self) -> "TrainConfig":
         """With the fields of `data` that the policy decides."""
         encoder = self.policy.encoder
-        of_play = self.scenes is None or self.scenes.fraction < 1  # else nothing of the play itself is looked at
+        of_play = self.scenes is None or self.scenes.fraction < 1  # else no images of the play are read
         decided: dict[str, Any] = {
             "history": self.policy.history,
             "chunk": self.policy.chunk,
@@ -120,8 +137,8 @@ class TrainConfig:
             "goal_names": encoder.goal_names,
         }
         extra_datasets = [
-            dataclasses.replace(m, data=dataclasses.replace(m.data or self.data, **decided))
-            for m in self.extra_datasets
+            dataclasses.replace(source, data=dataclasses.replace(source.data or self.data, **decided))
+            for source in self.extra_datasets
         ]
         return dataclasses.replace(
             self, data=dataclasses.replace(self.data, **decided), extra_datasets=tuple(extra_datasets)
@@ -130,24 +147,13 @@ class TrainConfig:
 
 def check_out(config: TrainConfig, out: Path, *, resume: bool) -> None:
     """Raises UsageError where `out` is taken or, with resume, holds no run of this config."""
-    if not resume:
-        if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise UsageError(f"{out} is there already: choose another --out, or go on with it by --resume")
-        return
-    if not (out / "config.yaml").is_file():
-        raise UsageError(f"there is no run at {out} to resume; start it without --resume")
-    before, now = to_dict(load_config(TrainConfig, out / "config.yaml")), to_dict(config)
-    changed = sorted(
-        name
-        for name in flattened(before).keys() | flattened(now).keys()
-        if flattened(before).get(name) != flattened(now).get(name) and name not in ADJUSTABLE
-    )
-    if changed:
-        raise UsageError(f"{out} was trained with another {', '.join(changed)}: give the same config, or another --out")
+    folder = RunFolder(out, "config.yaml", "training run", adjustable=ADJUSTABLE)
+    if folder.begun(resume=resume):
+        folder.check_same(to_dict(load_config(TrainConfig, folder.file)), to_dict(config))
 
 
 def stored_threads(config: TrainConfig, out: Path, *, resume: bool) -> int:
-    """As the run began: one of before `threads` was a setting took what torch chose."""
+    """The threads that the run began with: before `threads` was a setting, torch chose."""
     record = out / "run.json"
     if resume and record.is_file():
         return int(json.loads(record.read_text(encoding="utf-8")).get("threads", config.threads))

@@ -1,4 +1,4 @@
-"""What a run is shown beside its own play, and what is held out."""
+"""Rendered scenes as examples, held-out batches, and the check for cameras."""
 
 import math
 from collections.abc import Callable
@@ -26,8 +26,8 @@ def validation_batches(
     return [examples.batch(0, part) for part in _parts(order, config.batch_size)]
 
 
-def drawn_scenes(config: TrainConfig, folder: Path, episodes: NDArray[np.int64], actions: int) -> Scenes:
-    """The scenes in a folder that were drawn of these episodes (their numbers). actions: A."""
+def rendered_scenes(config: TrainConfig, folder: Path, episodes: NDArray[np.int64], actions: int) -> Scenes:
+    """The scenes in a folder that were rendered of these episodes (their numbers). actions: A."""
     encoder = config.policy.encoder
     return Scenes(
         folder,

@@ -33,21 +33,21 @@ from playlearn.scenes import draw_scenes, scene_sizes
 from playlearn.store import Store, open_store
 from playlearn.threads import limit
 from playlearn.training.config import TrainConfig, check_out, flattened, stored_threads
-from playlearn.training.examples import drawn_scenes, validation_batches, validation_scenes
+from playlearn.training.examples import rendered_scenes, validation_batches, validation_scenes
 
 
 def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
     """Train and leave in `out`: config.yaml, run.json, metrics.jsonl, checkpoint/, policy/ (for Policy.load).
 
-    The batch and all noise of an update depend on (seed, update) alone, so a resumed run ends in exactly
-    the tensors of an unbroken one, on the same machine and device and without max_minutes; its threads are as many.
-    How it ended is said on stderr and kept in run.json, as `outcome`.
+    The batch and all noise of an update depend on (seed, update) only. A resumed run therefore ends in exactly the
+    tensors of an unbroken one, on the same machine and device and without max_minutes; it uses as many threads.
+    The outcome is printed on stderr and kept in run.json, as `outcome`.
 
     Raises:
-        NotLearnedError: a fresh policy's held-out loss is no better than before the first update; everything is there.
+        NotLearnedError: a fresh policy's held-out loss is no better than before the first update; all is saved.
         UsageError: `out` is taken (or, with resume, is no run of this config); the store lacks a camera.
         StoreError: the store is missing or too small.
-        KeyboardInterrupt: on Ctrl-C, after the update in hand and a checkpoint.
+        KeyboardInterrupt: on Ctrl-C, after the current update and a checkpoint.
     """
     config = config.resolved()
     check_out(config, out, resume=resume)
@@ -59,10 +59,10 @@ def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
         run.load()
     elif run.accelerator.is_main_process:
         run.describe()
-    run.correct()
-    run.draw()
+    run.make_corrections()
+    run.render_scenes()
     run.perceive()
-    limit(threads)  # whoever made any of these may have had others
+    limit(threads)  # the makers of these may have set others
     with interruption_deferred() as interrupted, Progress("train", 100.0, "%", 100 * run.progress()) as progress:
         run.loop(interrupted, progress)
     if run.accelerator.is_main_process:
@@ -97,7 +97,7 @@ class _Run:
         )
         self.sources = build_sources(self.data, config.extra_datasets, config.seed)
         self.extra: list[tuple[Part, float]] = [*self.sources]
-        policy = self._begun()
+        policy = self._initial_policy()
         policy.to(self.accelerator.device)
         learned = policy.freeze_except(config.trainable)
         self.ema = averaged(policy, config.ema_decay)
@@ -111,8 +111,8 @@ class _Run:
         self.step, self.seconds = 0, 0.0
         self.paces = {"update": Pace(warmup=2), "evaluate": Pace(), "save": Pace()}
 
-    def _begun(self) -> Policy:
-        """The policy as training finds it."""
+    def _initial_policy(self) -> Policy:
+        """The policy before the first update: fresh, or that of `init_from`."""
         config = self.config
         if config.init_from is None:
             policy = config.policy.build(self.spec, statistics(self.data), config.seed)
@@ -133,8 +133,8 @@ class _Run:
             return cameras
         return {**cameras, **scene_sizes(self.store, encoder.observation_cameras)}
 
-    def draw(self) -> None:
-        """Draw what scenes are asked for, and show them."""
+    def render_scenes(self) -> None:
+        """Render the scenes that the config asks for, and train on them."""
         config, scenes = self.config, self.config.scenes
         if scenes is None:
             return
@@ -143,16 +143,16 @@ class _Run:
             draw_scenes(scenes, self.store, out, config.policy.encoder.observation_cameras, folder)
         self.accelerator.wait_for_everyone()
         numbers, actions = self.store.indices(), len(self.spec.action_names)
-        drawn = drawn_scenes(config, folder, numbers[~out], actions)
+        drawn = rendered_scenes(config, folder, numbers[~out], actions)
         if scenes.fraction < 1:
             self.extra = [(drawn, scenes.fraction), *self.extra]
             return
         self.own = drawn
         if out.any():
-            self.val = validation_scenes(config, drawn_scenes(config, folder, numbers[out], actions))
+            self.val = validation_scenes(config, rendered_scenes(config, folder, numbers[out], actions))
 
-    def correct(self) -> None:
-        """Make what corrections are asked for, and show them."""
+    def make_corrections(self) -> None:
+        """Make the corrections that the config asks for, and train on them."""
         corrections = self.config.corrections
         if corrections is None:
             return
@@ -163,12 +163,12 @@ class _Run:
         self.own = AugmentedDataset(self.data, Corrections(folder, self.data, corrections.fraction))
 
     def perceive(self) -> None:
-        """Look at all play through the image encoder that is asked for, and show it as that perceives it."""
+        """Train on play as the config's image encoder perceives it."""
         perceived = self.config.perceived
         if perceived is None:
             return
-        seeing = perceived.encoder
-        self.policy.behind(Policy.load(seeing / "policy"), seeing)  # says where the two do not fit together
+        run = perceived.encoder
+        self.policy.behind(Policy.load(run / "policy"), run)  # raises where the two do not fit together
         folder = perceived.folder or self.out / "perceived"
 
         def augmented(dataset: PlayDataset, number: int) -> Part:
@@ -190,20 +190,20 @@ class _Run:
         batches = cast(Generator[Batch], examples.batches(config.batch_size, self.step, rank, ranks))
         window = _Window()
         if self.val and self.step == 0:
-            progress.say(self.judge())
+            progress.say(self.validate())
         with closing(batches):
             while not self.finished():
                 began = time.monotonic()
                 window.add(self.update(next(batches)))
                 self.step += 1
                 took = time.monotonic() - began
-                self.seconds += took  # of updates alone, so that `last` is known to be the last
+                self.seconds += took  # of updates only, so that `last` is known to be the last
                 self.paces["update"].add(took)
                 last = self.finished()
                 if self.step % config.log_every == 0 or last:
                     self.log("train", {**window.means(), "lr": self.optimizer.param_groups[0]["lr"]})
                 if self.val and (self.step % config.val_every == 0 or last):
-                    progress.say(self.judge())
+                    progress.say(self.validate())
                 if self.step % config.checkpoint_every == 0 or last or interrupted.is_set():
                     self.save()
                 progress.to(100 * self.progress(), self.pace(window), left=self.left())
@@ -228,7 +228,7 @@ class _Run:
 
     @torch.no_grad()
     def evaluate(self) -> dict[str, float]:
-        """Of the averaged weights on held-out play; action_error in units of the action, over the whole chunk."""
+        """Metrics of the averaged weights on held-out play; action_error in units of the action, over the chunk."""
         policy = cast(Policy, self.ema.module)
         policy.eval()
         window = _Window()
@@ -241,15 +241,15 @@ class _Run:
             window.add({"loss": loss, **metrics})
         return window.means()
 
-    def judge(self) -> str:
-        """Evaluate, and write it down; returns the line to show."""
+    def validate(self) -> str:
+        """Evaluate on held-out play and log it; returns the line to show."""
         began = time.monotonic()
         line = self.log("val", self.evaluate())
         self.paces["evaluate"].add(time.monotonic() - began)
         return line
 
     def progress(self) -> float:
-        """How much of the run is done, 0 to 1: of the updates or of the minutes, whichever is more."""
+        """The fraction of the run that is done: of updates or of minutes, whichever is more."""
         fraction = self.step / self.config.steps
         if self.config.max_minutes is not None:
             fraction = max(fraction, self.seconds / 60 / self.config.max_minutes)
@@ -261,7 +261,7 @@ class _Run:
         return f"step {self.step}, {1 / max(self.paces['update'].seconds(), 1e-9):.1f} updates/s{loss}"
 
     def left(self) -> float:
-        """Seconds until the end, as updates, evaluations and checkpoints have taken lately."""
+        """Seconds until the end, from what updates, evaluations and checkpoints took lately."""
         config, pace = self.config, max(self.paces["update"].seconds(), 1e-9)
         seconds = (config.steps - self.step) * pace
         if config.max_minutes is not None:
@@ -306,7 +306,7 @@ class _Run:
             atomic_write(self._metrics, "".join(kept).encode())
 
     def conclude(self) -> None:
-        """Say and write down what came of it. Raises NotLearnedError where a fresh policy learned nothing."""
+        """Print and save the outcome. Raises NotLearnedError where a fresh policy learned nothing."""
         lines = self._metrics.read_text(encoding="utf-8").splitlines()
         outcome = Outcome.of(map(json.loads, lines), self.step, self.config.steps, self.seconds)
         record = json.loads((self.out / "run.json").read_text(encoding="utf-8"))
@@ -314,12 +314,12 @@ class _Run:
         for sentence in outcome.summary():
             print(f"{self.out}: {sentence}", file=sys.stderr, flush=True)
         complaint = outcome.complaint()
-        # One that begins with a trained policy may well end where that was.
+        # A run that starts from a trained policy may end where that was.
         if complaint is not None and self.config.init_from is None:
             raise NotLearnedError(f"{self.out}: {complaint}; the checkpoint and the policy are kept")
 
     def describe(self) -> None:
-        """Write down what is being run, before it runs."""
+        """Save what is run, before it runs."""
         self.out.mkdir(parents=True, exist_ok=True)
         self._metrics.unlink(missing_ok=True)  # of a run that left no checkpoint
         save_config(self.config, self.out / "config.yaml")
@@ -370,7 +370,7 @@ def _cosine(fraction: float) -> float:
     return 0.5 * (1 + math.cos(math.pi * fraction))
 
 
-def _generator(*words: int) -> torch.Generator:
-    """A generator that depends on these numbers alone."""
-    seed = np.random.SeedSequence([word & 0xFFFFFFFF for word in words]).generate_state(1, np.uint64)[0]
+def _generator(*numbers: int) -> torch.Generator:
+    """A generator that depends on these numbers only."""
+    seed = np.random.SeedSequence([number & 0xFFFFFFFF for number in numbers]).generate_state(1, np.uint64)[0]
     return torch.Generator().manual_seed(int(seed) & 0x7FFFFFFFFFFFFFFF)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from playlearn.collection import CollectConfig, collect, play, render_store
-from playlearn.collection.env import env
 from playlearn.envs import PlayTableConfig
 from playlearn.errors import RenderError, StoreError, UsageError
+from playlearn.process_cache import cached_env
 from playlearn.sim import CameraConfig
 from playlearn.store import NativeStore
 
@@ -33,7 +33,7 @@ def same(a: NativeStore, b: NativeStore) -> None:
 def test_play_replays_bit_for_bit() -> None:
     """From any recorded state the recorded action leads to the next one: what was executed is what is on record."""
     config = dataclasses.replace(SMALL, steps=60)
-    episode, environment = play(config, 0), env(config.environment)
+    episode, environment = play(config, 0), cached_env(config.environment)
     environment.set_state(np.array(episode.sim_state[0]))
     for t, action in enumerate(episode.action):
         environment.step(action)

@@ -68,19 +68,19 @@ class RunConfig:
 
 heads = st.builds(MeanConfig, width=st.integers()) | st.builds(FlowConfig, width=st.integers(), steps=st.integers(1))
 numbers = st.floats(allow_nan=False, allow_infinity=False)
-words = st.text(st.characters(codec="utf-8", categories=("L", "N", "P", "Zs")))
+texts = st.text(st.characters(codec="utf-8", categories=("L", "N", "P", "Zs")))
 runs = st.builds(
     RunConfig,
-    store=words.filter(bool).map(Path),
+    store=texts.filter(bool).map(Path),
     policy=st.builds(PolicyConfig, head=heads, second=st.none() | heads, guidance=st.none() | numbers, rate=numbers),
-    cameras=st.dictionaries(words, st.builds(CameraConfig, height=st.integers(), width=st.integers())),
+    cameras=st.dictionaries(texts, st.builds(CameraConfig, height=st.integers(), width=st.integers())),
     precision=st.sampled_from(["no", "bf16"]),
     seeds=st.lists(st.integers()).map(tuple),
     betas=st.tuples(numbers, numbers),
     heads=st.lists(heads).map(tuple),
-    notes=st.dictionaries(words, st.none() | st.booleans() | st.integers() | words),
+    notes=st.dictionaries(texts, st.none() | st.booleans() | st.integers() | texts),
     shuffle=st.booleans(),
-    name=words,
+    name=texts,
 )
 
 # How long an example takes says nothing about a config, only about what else the machine does.
@@ -171,7 +171,7 @@ def test_numbers_are_numbers(text: str, value: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "expected"),
     [
         (["--polcy.head.width", "5"], ["`polcy`", "did you mean `policy`?"]),
         (["--policy.head.widht", "5"], ["`policy.head.widht`", "did you mean `width`?"]),
@@ -204,11 +204,11 @@ def test_numbers_are_numbers(text: str, value: float) -> None:
         (["--name", "[a"], ["--name", "YAML"]),
     ],
 )
-def test_a_mistake_names_the_field_and_what_would_be_right(arguments: list[str], words: list[str]) -> None:
+def test_a_mistake_names_the_field_and_what_would_be_right(arguments: list[str], expected: list[str]) -> None:
     with pytest.raises(UsageError) as caught:
         load(*arguments)
-    for word in words:
-        assert word in str(caught.value)
+    for text in expected:
+        assert text in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

@@ -11,7 +11,7 @@ from safetensors.torch import load_file
 
 from playlearn.config import from_dict
 from playlearn.corrections import Corrections, CorrectionsConfig, make_corrections
-from playlearn.corrections.response import hand_response, undoing
+from playlearn.corrections.response import end_effector_response, undoing
 from playlearn.data import AugmentedDataset, DataConfig, PlayDataset
 from playlearn.episode import IMAGES
 from playlearn.errors import StoreError, UsageError
@@ -59,8 +59,8 @@ def dataset(store: NativeStore, history: int = 1) -> PlayDataset:
 
 
 def test_the_response_is_that_of_the_controller(store: NativeStore) -> None:
-    """Asked for 0.05 m and 0.5 rad, OSC_POSE goes about a quarter and a sixth of it, each axis as it is told."""
-    position, rotation = hand_response(store, range(len(store)))
+    """Commanded 0.05 m and 0.5 rad, OSC_POSE moves about a quarter and a sixth of it, each axis as commanded."""
+    position, rotation = end_effector_response(store, range(len(store)))
     np.testing.assert_allclose(np.diag(position), 0.25 * 0.05, rtol=0.2)
     np.testing.assert_allclose(np.diag(rotation), 0.17 * 0.5, rtol=0.2)
     for gain in (position, rotation):
@@ -142,7 +142,7 @@ def test_an_interrupted_making_goes_on_and_gives_the_same(store: NativeStore, fo
 
 def test_another_making_needs_another_folder(store: NativeStore, folder: Path) -> None:
     other = dataclasses.replace(CONFIG, displacement=0.01)
-    with pytest.raises(UsageError, match=r"another displacement: name another corrections\.folder"):
+    with pytest.raises(UsageError, match=r"another displacement: give the same, or name another corrections\.folder"):
         make_corrections(other, store, np.arange(len(store)), ("wrist",), folder, workers=0)
 
 
@@ -205,7 +205,7 @@ def test_training_makes_corrections_once_and_learns_from_them(tmp_path: Path, mo
 def test_a_store_without_a_hand_is_refused(tmp_path: Path) -> None:
     synthetic = make_store(tmp_path / "play", np.random.default_rng(0), episodes=1)
     with pytest.raises(UsageError, match=r"has no eef\.r00"):
-        hand_response(synthetic, [0])
+        end_effector_response(synthetic, [0])
 
 
 def test_no_moment_is_said(store: NativeStore, folder: Path, tmp_path: Path) -> None:

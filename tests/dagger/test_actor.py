@@ -25,17 +25,17 @@ from tests.fakes import PointConfig, PointEnv, PointExpert
 torch.set_num_threads(1)
 
 GOAL = np.array([0.5, -0.5, 0.0], np.float32)
-SHARING = InterventionRule(beta=0.0, switch_every=4, gate=NoGateConfig(), steps=(30, 30))
+RULE = InterventionRule(beta=0.0, switch_every=4, gate=NoGateConfig(), steps=(30, 30))
 
 
 def shared(
-    sharing: InterventionRule, policy: Any = None, seeds: Sequence[int] = (0, 1, 2), steps: int = 30
+    rule: InterventionRule, policy: Any = None, seeds: Sequence[int] = (0, 1, 2), steps: int = 30
 ) -> list[Episode]:
     """What becomes of a policy (by default one that moves at random) and the expert at one hand."""
     envs = [PointEnv(PointConfig()) for _ in seeds]
     for env, seed in zip(envs, seeds, strict=True):
         env.reset(seed)
-    actor = DaggerActor(policy or RandomActor(3), PointExpert(), sharing)
+    actor = DaggerActor(policy or RandomActor(3), PointExpert(), rule)
     outcomes = rollout(envs, actor, [Goal(GOAL)] * len(seeds), seeds=seeds, max_steps=steps)
     return [outcome.episode for outcome in outcomes if outcome.episode is not None]
 
@@ -48,8 +48,8 @@ def expert_at(sim_state: Array) -> Decision:
 
 
 def test_the_label_is_the_experts_answer_wherever_one_is() -> None:
-    """Asked again in every recorded state, it says what is on record; chance seldom does that."""
-    for episode in shared(replace(SHARING, beta=0.3)):
+    """Asked again in every recorded state, it gives the recorded label; a random policy rarely does."""
+    for episode in shared(replace(RULE, beta=0.3)):
         for t, label in enumerate(episode.expert_action):
             np.testing.assert_array_equal(label, expert_at(episode.sim_state[t]).action)
         own = ~episode.intervention
@@ -59,46 +59,46 @@ def test_the_label_is_the_experts_answer_wherever_one_is() -> None:
         assert set(episode.meta.skills) <= {"fetch", "carry", "press", "rest"}
 
 
-@pytest.mark.parametrize(("beta", "driven"), [(0.0, False), (1.0, True)])
-def test_at_0_the_policy_acts_alone_and_at_1_the_expert(beta: float, driven: bool) -> None:
+@pytest.mark.parametrize(("beta", "intervened"), [(0.0, False), (1.0, True)])
+def test_at_0_only_the_policy_acts_and_at_1_only_the_expert(beta: float, intervened: bool) -> None:
     """The actions are bit for bit those of either, let loose by itself."""
-    for seed, episode in enumerate(shared(replace(SHARING, beta=beta))):
-        assert (episode.intervention == driven).all()
+    for seed, episode in enumerate(shared(replace(RULE, beta=beta))):
+        assert (episode.intervention == intervened).all()
         env = PointEnv(PointConfig())
         env.reset(seed)
-        actor: Any = PointExpert() if driven else RandomActor(3)
-        alone = rollout([env], actor, [Goal(GOAL)], seeds=[seed], max_steps=30)[0].episode
-        assert alone is not None
-        np.testing.assert_array_equal(episode.action, alone.action)
+        actor: Any = PointExpert() if intervened else RandomActor(3)
+        single = rollout([env], actor, [Goal(GOAL)], seeds=[seed], max_steps=30)[0].episode
+        assert single is not None
+        np.testing.assert_array_equal(episode.action, single.action)
 
 
-def test_beta_is_the_share_of_stretches_and_each_row_draws_its_own() -> None:
-    """3 of 10 stretches of 4 steps: of 40 worlds with 10 each, 120 +- 4 standard deviations of 9.2 are the expert's."""
-    episodes = shared(replace(SHARING, beta=0.3, steps=(40, 40)), seeds=range(40), steps=40)
-    whole = [episode for episode in episodes if len(episode) == 40]  # the puck may fall off where chance acts
+def test_beta_is_the_fraction_of_stretches_and_each_row_draws_its_own() -> None:
+    """3 of 10 stretches of 4 steps: of 40 rollouts with 10 each, 120 +- 4 std of 9.2 are the expert's."""
+    episodes = shared(replace(RULE, beta=0.3, steps=(40, 40)), seeds=range(40), steps=40)
+    whole = [episode for episode in episodes if len(episode) == 40]  # random actions may push the puck off
     stretches = np.stack([episode.intervention.reshape(10, 4) for episode in whole])
     assert (stretches == stretches[:, :, :1]).all(), "who acts changes between stretches only"
     expected, std = 0.3 * 10 * len(whole), np.sqrt(0.3 * 0.7 * 10 * len(whole))
     assert abs(stretches[:, :, 0].sum() - expected) < 4 * std
     assert len({tuple(row) for row in stretches[:, :, 0].tolist()}) > len(whole) / 2
-    alone = shared(replace(SHARING, beta=0.3, steps=(40, 40)), seeds=[7], steps=40)[0]
-    np.testing.assert_array_equal(alone.intervention, episodes[7].intervention)
+    single = shared(replace(RULE, beta=0.3, steps=(40, 40)), seeds=[7], steps=40)[0]
+    np.testing.assert_array_equal(single.intervention, episodes[7].intervention)
 
 
 def test_the_expert_finishes_after_a_drawn_number_of_steps() -> None:
     lengths = [
-        int(np.argmax(episode.intervention)) for episode in shared(replace(SHARING, steps=(5, 20)), seeds=range(20))
+        int(np.argmax(episode.intervention)) for episode in shared(replace(RULE, steps=(5, 20)), seeds=range(20))
     ]
     assert min(lengths) >= 5
     assert max(lengths) <= 20
     assert len(set(lengths)) > 5
-    for episode, length in zip(shared(replace(SHARING, steps=(5, 20)), seeds=range(20)), lengths, strict=True):
+    for episode, length in zip(shared(replace(RULE, steps=(5, 20)), seeds=range(20)), lengths, strict=True):
         assert episode.intervention[length:].all(), "for good"
 
 
 def test_the_policy_gets_the_hand_back_where_it_plans_anew() -> None:
     """Stretches of 3 steps, plans of 4: an expert's stretch that ends at step 3 lasts until step 4."""
-    for episode in shared(replace(SHARING, beta=0.5, switch_every=3, plans=4), seeds=range(10)):
+    for episode in shared(replace(RULE, beta=0.5, switch_every=3, plans=4), seeds=range(10)):
         back = np.flatnonzero(np.diff(episode.intervention.astype(int)) == -1) + 1
         assert (back % 4 == 0).all()
 
@@ -140,7 +140,7 @@ def test_a_gate_hands_over_to_the_expert_and_back() -> None:
             return [Decision(np.zeros(3, np.float32)) for _ in active]
 
     gate = DistanceConfig(open_above=0.3, steps=3, close_after=4)
-    for episode in shared(replace(SHARING, gate=gate, steps=(80, 80)), Still(3), steps=80):
+    for episode in shared(replace(RULE, gate=gate, steps=(80, 80)), Still(3), steps=80):
         apart = np.abs(episode.expert_action).max(axis=1) > 0.3
         assert apart[:3].all()
         assert episode.intervention[:3].tolist() == [False, False, True]
@@ -156,7 +156,7 @@ def test_what_is_never_unsure_has_no_spread() -> None:
         PolicyConfig(chunk=8).build(spec(), None, 0),
         PolicyConfig(head=DiffusionConfig(), chunk=8).build(spec(), None, 0),
     ]
-    spreads = []
+    stds = []
     for policy in policies:
         actor = PolicyActor(policy, n_action_steps=4)
         env = PointEnv(PointConfig())
@@ -165,12 +165,12 @@ def test_what_is_never_unsure_has_no_spread() -> None:
         for rows in (2, 1):
             actor.reset(goals[:rows], range(rows))
             actor.act([env.observe()] * rows, [True] * rows)
-            spreads.append(actor.std(4, [torch.Generator().manual_seed(k) for k in range(rows)]))
-    sure, _, unsure, alone = spreads
+            stds.append(actor.std(4, [torch.Generator().manual_seed(k) for k in range(rows)]))
+    sure, _, unsure, single = stds
     assert sure.tolist() == [0, 0]
     assert (unsure > 0).all()
     assert unsure[0] != unsure[1]
-    assert alone[0] == pytest.approx(unsure[0], rel=1e-5)
+    assert single[0] == pytest.approx(unsure[0], rel=1e-5)
 
 
 def test_every_gate_is_built() -> None:

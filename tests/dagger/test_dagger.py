@@ -1,4 +1,4 @@
-"""Laws of DAgger's rounds, in a world in which everything takes milliseconds."""
+"""Laws of DAgger's rounds, in an environment in which everything takes milliseconds."""
 
 import json
 from dataclasses import replace
@@ -13,9 +13,10 @@ from playlearn.collection import CollectConfig
 from playlearn.config import from_dict, load_config, save_config
 from playlearn.dagger import DaggerConfig, dagger
 from playlearn.dagger import job as module
-from playlearn.dagger import rollouts as practicing
+from playlearn.dagger import rollouts as rollouts_module
 from playlearn.dagger.actor import InterventionRule
 from playlearn.dagger.gate import NoGateConfig
+from playlearn.dagger.gather import GatherPlayConfig
 from playlearn.dagger.rollouts import RolloutSpec, collect_rollouts
 from playlearn.data import DataConfig
 from playlearn.envs import PlayTableConfig
@@ -78,13 +79,13 @@ def go(config: DaggerConfig, run: Path, out: Path, **more: Any) -> dict[str, Any
     return dagger(config, run, out, workers=0, expert=point_expert, **more)
 
 
-def test_what_is_practiced_is_relabeled_by_the_goal_that_was_commanded(run: Path, tmp_path: Path) -> None:
-    """Every example's goal is the setup's, within what counts as reached, whatever the policy did on the way there."""
-    sharing = InterventionRule(0.0, 8, NoGateConfig(), (5, 20))
+def test_rollouts_are_relabeled_with_the_commanded_goal(run: Path, tmp_path: Path) -> None:
+    """Every example's goal is the episode's, within what counts as reached, whatever the policy did on the way."""
+    rule = InterventionRule(0.0, 8, NoGateConfig(), (5, 20))
     spec = RolloutSpec(
-        SUITE, TrainedRecipe(run, "state", 2), point_expert, sharing, seed=5, finish_steps=60, success_hold_steps=4
+        SUITE, TrainedRecipe(run, "state", 2), point_expert, rule, seed=5, finish_steps=60, success_hold_steps=4
     )
-    records = collect_rollouts(spec, range(10, 20), tmp_path, 0, "practice")
+    records = collect_rollouts(spec, range(10, 20), tmp_path, 0, "rollouts")
     store, env = NativeStore.open(tmp_path / "play"), PointEnv(PointConfig())
     assert store.indices().tolist() == [row.episode for row in records if row.kept]
     assert len(store) >= 8
@@ -106,11 +107,11 @@ def test_what_is_practiced_is_relabeled_by_the_goal_that_was_commanded(run: Path
 
 
 def test_an_expert_that_does_not_finish_is_counted_and_leaves_nothing(run: Path, tmp_path: Path) -> None:
-    sharing = InterventionRule(0.0, 8, NoGateConfig(), (1, 1))
+    rule = InterventionRule(0.0, 8, NoGateConfig(), (1, 1))
     spec = RolloutSpec(
-        SUITE, TrainedRecipe(run, "state", 2), point_expert, sharing, seed=5, finish_steps=3, success_hold_steps=4
+        SUITE, TrainedRecipe(run, "state", 2), point_expert, rule, seed=5, finish_steps=3, success_hold_steps=4
     )
-    records = collect_rollouts(spec, range(4), tmp_path, 0, "practice")
+    records = collect_rollouts(spec, range(4), tmp_path, 0, "rollouts")
     assert [(row.kept, row.ended, row.labels) for row in records] == [(False, "length", 4)] * 4
     assert len(NativeStore.open(tmp_path / "play")) == 0
     with pytest.raises(PlaylearnError, match="none of 6 episodes"):
@@ -118,7 +119,7 @@ def test_an_expert_that_does_not_finish_is_counted_and_leaves_nothing(run: Path,
 
 
 @pytest.mark.slow
-def test_further_play_that_the_run_learned_from_is_kept_in_its_shares(run: Path, tmp_path: Path) -> None:
+def test_extra_datasets_of_the_run_keep_their_fractions(run: Path, tmp_path: Path) -> None:
     go(described(run, rounds=1), run, tmp_path / "first")
     go(described(run, rounds=1, fraction=0.2), tmp_path / "first", tmp_path / "second")
     before, gathered = load_config(TrainConfig, tmp_path / "second/config.yaml").extra_datasets
@@ -163,10 +164,10 @@ def test_rounds(run: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_killed_round_is_gone_on_with_and_those_before_it_are_not_repeated(
+def test_a_killed_round_is_resumed_and_those_before_it_are_not_repeated(
     run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Killed in round 2, once in practice and once before it is judged; what comes of it in the end is the same."""
+    """Killed in round 2, once in its rollouts and once before its evaluation; the result is the same."""
     config, broken = described(run), tmp_path / "broken"
     whole = go(config, run, tmp_path / "whole")
 
@@ -178,13 +179,13 @@ def test_a_killed_round_is_gone_on_with_and_those_before_it_are_not_repeated(
             raise Killed
         return plain(*arguments, **more)
 
-    def setups(spec: Any, numbers: Any, *others: Any) -> Any:
-        if numbers[0] == 10:  # the second cohort of round 2
+    def set_up(spec: Any, numbers: Any, *others: Any) -> Any:
+        if numbers[0] == 10:  # the second batch of round 2
             raise Killed
         return drawn(spec, numbers, *others)
 
-    plain, drawn = module.evaluate, practicing._setups
-    for place, name, strikes in ((practicing, "_setups", setups), (module, "evaluate", evaluate)):
+    plain, drawn = module.evaluate, rollouts_module._set_up
+    for place, name, strikes in ((rollouts_module, "_set_up", set_up), (module, "evaluate", evaluate)):
         with monkeypatch.context() as patch:
             patch.setattr(place, name, strikes)
             with pytest.raises(Killed):
@@ -201,28 +202,28 @@ def test_a_killed_round_is_gone_on_with_and_those_before_it_are_not_repeated(
     assert all(torch.equal(one[name], other[name]) for name in one)
 
 
-@pytest.mark.parametrize("control", [pytest.param("play", marks=pytest.mark.slow), "noise"])
-def test_a_control_adds_as_many_steps_of_play(
-    control: str, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("baseline", [pytest.param("play", marks=pytest.mark.slow), "noise"])
+def test_a_baseline_adds_as_many_steps_of_play(
+    baseline: str, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At least those of the run it is like, less than an episode more; its play is that of the run but for noise."""
+    """At least those of the matched run, less than an episode more; its play is that of the run but for noise."""
     played: list[PlayConfig] = []
 
-    def player(_env: Any, config: PlayConfig) -> PointPlayPolicy:
+    def play_policy(_env: Any, config: PlayConfig) -> PointPlayPolicy:
         played.append(config)
-        return PointPlayPolicy()  # this one's hand must not tremble: it would grasp nothing
+        return PointPlayPolicy()  # without noise: with it, it would grasp nothing
 
-    monkeypatch.setattr("playlearn.collection.job.play_policy_for", player)
+    monkeypatch.setattr("playlearn.collection.job.play_policy_for", play_policy)
     save_config(CollectConfig(environment=PointConfig(), steps=150, seed=3), run.parent / "play" / "collect.yaml")
-    (tmp_path / "like").mkdir()
+    (tmp_path / "matched").mkdir()
     rows = [{"round": 0}, {"round": 1, "frames": 500}, {"round": 2, "frames": 160}]
-    (tmp_path / "like" / "results.json").write_text(json.dumps({"rounds": rows}))
+    (tmp_path / "matched" / "results.json").write_text(json.dumps({"rounds": rows}))
     out = tmp_path / "out"
-    results = go(described(run, baseline=control, match_steps_of=str(tmp_path / "like")), run, out)
+    results = go(described(run, gather={"type": baseline, "match_steps_of": str(tmp_path / "matched")}), run, out)
     assert [row["labels"] for row in results["rounds"][1:]] == [0, 0]
     for row, wanted in zip(results["rounds"][1:], (500, 160), strict=True):
         assert wanted <= row["frames"] < wanted + 150
-    assert {config.noise for config in played} == {0.5 if control == "noise" else PlayConfig().noise}
+    assert {config.noise for config in played} == {0.5 if baseline == "noise" else PlayConfig().noise}
     stores = [NativeStore.open(out / "rounds" / str(number) / "play") for number in (1, 2)]
     firsts = {tuple(store.array(0, "sim.state")[0]) for store in stores}
     assert len(firsts) == 2, "each round plays anew"
@@ -232,7 +233,11 @@ def test_a_control_adds_as_many_steps_of_play(
         [0.5 * row["frames"] / sum(row["frames"] for row in results["rounds"][1:]) for row in results["rounds"][1:]]
     )
     with pytest.raises(UsageError, match="has 2 rounds"):
-        go(described(run, baseline=control, match_steps_of=str(tmp_path / "like"), rounds=3), run, tmp_path / "more")
+        go(
+            described(run, gather={"type": baseline, "match_steps_of": str(tmp_path / "matched")}, rounds=3),
+            run,
+            tmp_path / "more",
+        )
 
 
 def test_mistakes_are_found_before_anything_runs(run: Path, tmp_path: Path) -> None:
@@ -242,13 +247,13 @@ def test_mistakes_are_found_before_anything_runs(run: Path, tmp_path: Path) -> N
     with pytest.raises(UsageError, match="'point' has no skill library"):
         dagger(described(run), run, out, workers=0)
     with pytest.raises(UsageError, match="seed of the rollouts"):
-        go(described(run, eval_seed=module.derived_seed(module._PRACTICE, 0)), run, out)
+        go(described(run, eval_seed=module.derived_seed(module._ROLLOUTS, 0)), run, out)
     with pytest.raises(UsageError, match="never uncertain"):
         go(described(run, gate={"type": "uncertainty"}), run, out)
-    with pytest.raises(UsageError, match="match_steps_of"):
-        described(run, baseline="play")
+    with pytest.raises(UsageError, match=r"`gather\.match_steps_of` is missing"):
+        described(run, gather={"type": "play"})
     with pytest.raises(UsageError, match="no DAgger run at"):
-        go(described(run, baseline="play", match_steps_of=str(tmp_path)), run, out)
+        go(described(run, gather={"type": "play", "match_steps_of": str(tmp_path)}), run, out)
     for wrong in (
         {"fraction": 1.0},
         {"fraction": 0},
@@ -278,11 +283,12 @@ def test_mistakes_are_found_before_anything_runs(run: Path, tmp_path: Path) -> N
 def test_shipped_configs_are_whole(path: Path) -> None:
     config = load_config(DaggerConfig, path)
     assert config.rollout_suite.is_file()
-    assert load_config(DaggerConfig, path, ["--baseline=play", "--match_steps_of=runs/x"]).baseline == "play"
+    baseline = load_config(DaggerConfig, path, ["--gather.type=play", "--gather.match_steps_of=runs/x"])
+    assert baseline.gather == GatherPlayConfig(Path("runs/x"))
 
 
 def gained(run: Path, out: Path, seed: int) -> float:
-    """By how much two rounds of practice raise the share of 20 goals that a policy of 30 updates reaches."""
+    """By how much two rounds of DAgger raise the success rate, on 20 goals, of a policy of 30 updates."""
     out.mkdir()
     save_config(replace(SUITE, episodes=20, num_envs=20), out / "suite.yaml")
     config = described(

@@ -1,4 +1,4 @@
-"""Laws of the demo: stages that are done once, side by side, estimated, and judged."""
+"""Laws of the demo: stages that are done once, side by side, estimated, and checked."""
 
 import json
 import sys
@@ -11,11 +11,11 @@ import pytest
 from playlearn.config import load_config
 from playlearn.dagger import DaggerConfig
 from playlearn.demo import DemoConfig, demo, job
+from playlearn.demo.checks import success_problem, training_problem
 from playlearn.demo.commands import Done, run_together
 from playlearn.demo.config import Cost
 from playlearn.demo.job import STAGES
 from playlearn.demo.reference import Reference
-from playlearn.demo.verdict import judge_success, judge_training
 from playlearn.errors import PlaylearnError, UsageError
 from playlearn.training import TrainConfig
 
@@ -66,32 +66,32 @@ def metrics(run: Path, *losses: float, every: int = 10) -> None:
     (run / "metrics.jsonl").write_text("\n".join(lines) + "\n")
 
 
-def test_a_training_is_judged_by_the_loss_it_ends_with(tmp_path: Path) -> None:
+def test_a_training_is_checked_by_its_last_loss(tmp_path: Path) -> None:
     metrics(tmp_path / "run", 1.0, 0.2)
-    assert judge_training("the policy", tmp_path / "run", "head", 0.2, 10) is None
-    why = judge_training("the policy", tmp_path / "run", "head", 0.1, 5000)
+    assert training_problem("the policy", tmp_path / "run", "head", 0.2, 10) is None
+    why = training_problem("the policy", tmp_path / "run", "head", 0.1, 5000)
     assert why is not None
-    assert "held-out loss is 0.2, and above 0.1 nothing is reached" in why
-    assert "it made 10 updates, the demo's config says 5000" in why
-    assert "the play is too little" in str(judge_training("the policy", tmp_path / "run", "head", 0.1, 10))
-    assert judge_training("the policy", tmp_path / "run", "head", float("inf"), 10) is None
+    assert "held-out loss is 0.2; above 0.1 no goal is reached" in why
+    assert "it made 10 updates, the demo's config asks for 5000" in why
+    assert "too little play" in str(training_problem("the policy", tmp_path / "run", "head", 0.1, 10))
+    assert training_problem("the policy", tmp_path / "run", "head", float("inf"), 10) is None
     metrics(tmp_path / "run", 1.0, float("nan"))
-    assert judge_training("the policy", tmp_path / "run", "head", 0.5, 10) is not None
+    assert training_problem("the policy", tmp_path / "run", "head", 0.5, 10) is not None
 
 
-def evaluated(success: tuple[float, float, float], chance: tuple[float, float, float]) -> dict[str, Any]:
+def evaluated(success: tuple[float, float, float], random: tuple[float, float, float]) -> dict[str, Any]:
     def rates(rate: tuple[float, float, float]) -> dict[str, Any]:
         return {"success_rate": rate[0], "ci95": list(rate[1:]), "episodes": 102}
 
-    return {**rates(success), "references": {"random": rates(chance)}}
+    return {**rates(success), "references": {"random": rates(random)}}
 
 
-def test_no_better_than_chance_is_said() -> None:
-    """By the intervals: 4.9 % (2.1 to 11.0) is not above random actions at 3.9 % (1.5 to 9.7)."""
-    why = judge_success(evaluated((0.049, 0.021, 0.11), (0.039, 0.015, 0.097)))
+def test_a_policy_no_better_than_random_is_reported() -> None:
+    """By the intervals: 4.9 % (2.1 to 11.0) is not above a random policy at 3.9 % (1.5 to 9.7)."""
+    why = success_problem(evaluated((0.049, 0.021, 0.11), (0.039, 0.015, 0.097)))
     assert why is not None
-    assert "4.9% of 102 goal images and random actions 3.9%" in why
-    assert judge_success(evaluated((0.6, 0.5, 0.7), (0.039, 0.015, 0.097))) is None
+    assert "4.9% of 102 goal images, a random policy 3.9%" in why
+    assert success_problem(evaluated((0.6, 0.5, 0.7), (0.039, 0.015, 0.097))) is None
 
 
 class Commands:
@@ -106,7 +106,7 @@ class Commands:
         self, commands: Mapping[str, Sequence[str]], say: Callable[[str], None], tick: Callable[[], None], **_: object
     ) -> dict[str, Done]:
         self.called.append(sorted(commands))
-        self.given |= {name: list(words) for name, words in commands.items()}
+        self.given |= {name: list(arguments) for name, arguments in commands.items()}
         if "policy" in commands:
             for name, loss in self.losses.items():
                 metrics(self.out / name, 1.0, loss, every=50)
@@ -130,29 +130,29 @@ def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., tuple[
     monkeypatch.setattr(job, "available_cores", lambda: 2)
 
     def go(steps: int | None = None, **how: float) -> tuple[Commands, list[str]]:
-        fake, said = Commands(tmp_path / "demo", **how), list[str]()
+        fake, printed = Commands(tmp_path / "demo", **how), list[str]()
         monkeypatch.setattr(job, "run_together", fake)
         costs = {name: Cost(simulation=10, learning=20) for name in STAGES}
         config = DemoConfig(state_loss=0.1, encoder_loss=0.5, costs=costs)
         try:
-            demo(config, tmp_path / "demo", steps=steps, say=said.append)
+            demo(config, tmp_path / "demo", steps=steps, say=printed.append)
         except PlaylearnError as error:
-            said.append(f"ERROR {error}")
-        return fake, said
+            printed.append(f"ERROR {error}")
+        return fake, printed
 
     return go
 
 
 def test_every_stage_is_done_once(run: Callable[..., Any], tmp_path: Path) -> None:
-    first, said = run()
+    first, printed = run()
     assert first.called == [["film", "play"], ["encoder", "policy"], ["dagger"], ["eval"]]
     record = json.loads((tmp_path / "demo" / "demo.json").read_text())
     assert list(record["stages"]) == list(STAGES)
     assert record["stages"]["learn"]["core_seconds"] == {"policy": 3.0, "encoder": 3.0}
-    assert any("preview/report.html" in line for line in said), "the film is named while play is collected"
-    again, said = run()
+    assert any("preview/report.html" in line for line in printed), "the film is announced while play is collected"
+    again, printed = run()
     assert again.called == []
-    assert sum("done already" in line for line in said) == len(STAGES)
+    assert sum("done already" in line for line in printed) == len(STAGES)
 
 
 def test_one_that_was_interrupted_in_its_first_stage_goes_on(
@@ -171,33 +171,33 @@ def test_one_that_was_interrupted_in_its_first_stage_goes_on(
         costs = {name: Cost(simulation=10, learning=20) for name in STAGES}
         with pytest.raises(KeyboardInterrupt):
             demo(DemoConfig(state_loss=0.1, encoder_loss=0.5, costs=costs), tmp_path / "demo", say=lambda _: None)
-    fake, said = run()
+    fake, printed = run()
     assert len(fake.called) == len(STAGES)
-    assert not said[-1].startswith("ERROR")
+    assert not printed[-1].startswith("ERROR")
 
 
 def test_the_time_is_estimated_from_the_reference(run: Callable[..., Any]) -> None:
     """10 times 2 s and 20 times 1 s of core are 20 s on two cores, for each of four stages."""
-    _, said = run()
-    assert any("learn" in line and "about 20 s" in line for line in said)
-    assert any("all" in line and "about 80 s, on 2 cores" in line for line in said)
+    _, printed = run()
+    assert any("learn" in line and "about 20 s" in line for line in printed)
+    assert any("all" in line and "about 80 s, on 2 cores" in line for line in printed)
 
 
 @pytest.mark.parametrize(
-    ("how", "stages", "words"),
+    ("how", "stages", "message"),
     [
-        ({"state": 0.11}, 2, "the demo ends here: the state policy: its held-out loss is 0.11"),
-        ({"encoder": 0.7}, 2, "the demo ends here: the image encoder"),
-        ({"success": 0.1}, 4, "that is no better than chance"),
+        ({"state": 0.11}, 2, "the demo stops here: the state policy: its held-out loss is 0.11"),
+        ({"encoder": 0.7}, 2, "the demo stops here: the image encoder"),
+        ({"success": 0.1}, 4, "it is no better than random"),
     ],
 )
 def test_a_stage_that_came_to_nothing_ends_in_an_error(
-    how: dict[str, float], stages: int, words: str, run: Callable[..., Any]
+    how: dict[str, float], stages: int, message: str, run: Callable[..., Any]
 ) -> None:
-    fake, said = run(**how)
+    fake, printed = run(**how)
     assert len(fake.called) == stages
-    assert words in said[-1]
-    assert said[-1].startswith("ERROR")
+    assert message in printed[-1]
+    assert printed[-1].startswith("ERROR")
 
 
 def test_fewer_updates_are_handed_on(run: Callable[..., Any]) -> None:
@@ -209,11 +209,11 @@ def test_fewer_updates_are_handed_on(run: Callable[..., Any]) -> None:
 
 def test_another_config_or_a_strange_folder_is_refused(run: Callable[..., Any], tmp_path: Path) -> None:
     run()
-    _, said = run(steps=7)
-    assert "begun with another steps" in said[-1]
+    _, printed = run(steps=7)
+    assert "begun with another steps" in printed[-1]
     (tmp_path / "strange").mkdir()
     (tmp_path / "strange" / "x").touch()
-    with pytest.raises(UsageError, match="is no demo"):
+    with pytest.raises(UsageError, match="holds no demo"):
         demo(DemoConfig(), tmp_path / "strange", say=lambda _: None)
 
 

@@ -1,4 +1,4 @@
-"""A comparison: variants told apart by fields alone, nothing done twice, and figures that add up."""
+"""A comparison: variants that differ only in fields, nothing done twice, and figures that add up."""
 
 import json
 from functools import partial
@@ -16,19 +16,20 @@ from playlearn.report.intervals import wilson
 from tests.evaluation.parts import SUITE, play
 from tests.fakes import point_expert
 
+CONFIGS = sorted((Path(__file__).parents[2] / "configs" / "compare").glob("*.yaml"))
 VARIANTS = {"plain": {}, "a mixture": {"policy.head.type": "mog", "policy.head.components": 2}}
 
 
 @pytest.fixture(autouse=True)
 def its_own_expert(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The world of points is not registered with an expert."""
+    """No expert is registered for PointEnv."""
     monkeypatch.setattr(
         playlearn.experiments.compare, "evaluate", partial(playlearn.experiments.compare.evaluate, expert=point_expert)
     )
 
 
 def described(folder: Path, **changes: object) -> CompareConfig:
-    """A comparison of a few updates on a little play, by two attempts, in a world that takes milliseconds."""
+    """A few updates on a little play, two evaluation episodes, in an environment that takes milliseconds."""
     if not (folder / "play").exists():
         play(folder / "play")
         save_config(SUITE, folder / "suite.yaml")
@@ -54,7 +55,7 @@ def described(folder: Path, **changes: object) -> CompareConfig:
 
 
 @pytest.mark.slow
-def test_every_variant_is_trained_and_judged_once(tmp_path: Path) -> None:
+def test_every_variant_is_trained_and_evaluated_once(tmp_path: Path) -> None:
     out = tmp_path / "out"
     config = described(tmp_path)
     rows = compare(config, out, workers=0)
@@ -90,6 +91,13 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "out" / "mine").write_text("x")
     with pytest.raises(UsageError, match="holds no comparison"):
         compare(described(tmp_path), tmp_path / "out", workers=0)
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
+def test_every_shipped_variant_is_a_training(path: Path) -> None:
+    config = load_config(CompareConfig, path)
+    assert config.suite.is_file()
+    assert all(config.training(variant, 0).steps > 0 for variant in config.variants)
 
 
 def test_the_best_stands_first_in_the_table() -> None:

@@ -1,4 +1,4 @@
-"""The command with the fake world, as a process of its own; and what is left of it afterwards."""
+"""The command with the fake environment, as a process of its own; and what is left of it afterwards."""
 
 import json
 import os
@@ -31,7 +31,7 @@ def start(
 
 
 def finish(process: "subprocess.Popen[str]") -> tuple[int, str]:
-    """Exit code and what it said."""
+    """Exit code and what it printed."""
     _, errors = process.communicate(timeout=LIMIT)
     return process.returncode, errors
 

@@ -9,8 +9,8 @@ from tests.faults import point
 
 @pytest.fixture(autouse=True)
 def _points(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In this process too, the player of the fake world plays."""
-    monkeypatch.setattr(job, "play_policy_for", point.player)
+    """In this process too, the play policy of the fake environment plays."""
+    monkeypatch.setattr(job, "play_policy_for", point.play_policy)
 
 
 @pytest.fixture

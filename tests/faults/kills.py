@@ -28,7 +28,7 @@ from tests.synthetic import make_episode
 
 PACKAGE = Path(playlearn.__file__).parent
 COMMIT = ("store/native.py", "store/tensors.py", "store/folder.py", "config/record.py")
-COLLECT = ("store/native.py", "store/folder.py", "collection/job.py", "collection/env.py")
+COLLECT = ("store/native.py", "store/folder.py", "collection/job.py", "collection/store.py")
 
 tqdm.monitor_interval = 0  # no thread of its own: one that forks should have none
 
@@ -128,7 +128,7 @@ def every_line_of_a_collection(folder: Path) -> dict[str, Any]:
     def act() -> None:
         _collect(config, out)
 
-    act()  # the world is built now, not in the first round alone
+    act()  # the environment is built now, not only in the first round
     shutil.rmtree(out)
     points = lines(COLLECT, act)
     reference = contents(out)
@@ -160,8 +160,8 @@ def random_moments(folder: Path) -> dict[str, Any]:
     _collect(config, folder / "whole")
     rng, grew = np.random.default_rng(0), [0]
     while True:
-        begun, share = int(rng.integers(2, 12)), rng.uniform(0, 2)
-        if forked(functools.partial(_struck, config, out, begun, share)) == 0:
+        begun, fraction = int(rng.integers(2, 12)), rng.uniform(0, 2)
+        if forked(functools.partial(_struck, config, out, begun, fraction)) == 0:
             break
         store = NativeStore.open(out)
         assert store.verify() == []
@@ -171,20 +171,20 @@ def random_moments(folder: Path) -> dict[str, Any]:
     return {"kills": len(grew) - 1}
 
 
-def _struck(config: Any, out: Path, begun: int, share: float) -> None:
-    """Collect, until that share of an episode's time after so many of them have begun an alarm ends this process."""
+def _struck(config: Any, out: Path, begun: int, fraction: float) -> None:
+    """Collect, until that fraction of an episode's time after so many of them have begun an alarm ends this process."""
     from tests.faults import point
 
     signal.signal(signal.SIGALRM, signal.SIG_DFL)  # so that it ends at once, wherever it is
-    reset, moments = point.Unlucky.reset, [time.monotonic()]
+    reset, moments = point.FaultyPlayPolicy.reset, [time.monotonic()]
 
-    def counted(player: point.Unlucky, *given: Any) -> None:
+    def counted(policy: point.FaultyPlayPolicy, *given: Any) -> None:
         moments.append(time.monotonic())
         if len(moments) == begun + 1:
-            signal.setitimer(signal.ITIMER_REAL, max(1e-6, share * (moments[-1] - moments[-2])))
-        reset(player, *given)
+            signal.setitimer(signal.ITIMER_REAL, max(1e-6, fraction * (moments[-1] - moments[-2])))
+        reset(policy, *given)
 
-    point.Unlucky.reset = counted  # type: ignore[method-assign]  # in this copy of the process alone
+    point.FaultyPlayPolicy.reset = counted  # type: ignore[method-assign]  # only in this copy of the process
     _collect(config, out)
 
 

@@ -1,7 +1,7 @@
-"""`playlearn` with the fake world and a player to whom things happen, as a command: `python point.py collect ...`.
+"""`playlearn` with the fake environment and a play policy that fails on demand: `python point.py collect ...`.
 
-Worker processes import the main script too, so they know that world and that player as well. What
-happens stands in $PLAYLEARN_FAULTS as `{"episode": "what"}`, see `Unlucky`.
+Worker processes import the main script too, so they know that environment and that policy as well. What
+happens is in $PLAYLEARN_FAULTS as `{"episode": "what"}`, see `FaultyPlayPolicy`.
 """
 
 import functools
@@ -31,7 +31,7 @@ def config(episodes: int = 12, steps: int = 12) -> CollectConfig:
     return CollectConfig(environment=PointConfig(), episodes=episodes, steps=steps, seed=SEED)
 
 
-class Unlucky(PointPlayPolicy):
+class FaultyPlayPolicy(PointPlayPolicy):
     """Plays on until step `AT` of an episode to which something happens."""
 
     def __init__(self, env: PointEnv) -> None:
@@ -62,14 +62,14 @@ class Unlucky(PointPlayPolicy):
             raise ZeroDivisionError("a bug")
 
 
-def player(environment: Environment, _config: PlayConfig) -> Unlucky:
+def play_policy(environment: Environment, _config: PlayConfig) -> FaultyPlayPolicy:
     assert isinstance(environment, PointEnv)
-    return Unlucky(environment)
+    return FaultyPlayPolicy(environment)
 
 
 def install() -> None:
-    """From now on this process plays with that player."""
-    job.play_policy_for = player  # type: ignore[assignment]
+    """From now on this process plays with that policy."""
+    job.play_policy_for = play_policy  # type: ignore[assignment]
     if RETRIES in os.environ:
         job.LocalExecutorConfig = functools.partial(LocalExecutorConfig, retries=int(os.environ[RETRIES]))  # type: ignore[misc, assignment]
 

@@ -44,10 +44,10 @@ def test_episodes_without_their_store_are_not_taken_for_a_new_one(tmp_path: Path
 
 def test_what_made_it_decides_whether_it_can_be_gone_on_with(tmp_path: Path) -> None:
     collect(point.config(episodes=2), tmp_path / "play", workers=0)
-    with pytest.raises(UsageError, match="collected with another steps"):
+    with pytest.raises(UsageError, match="begun with another steps"):
         collect(point.config(episodes=3, steps=13), tmp_path / "play", workers=0, resume=True)
     (tmp_path / "play" / "collect.json").unlink()
-    with pytest.raises(UsageError, match=r"not made by `playlearn collect`.*another --out"):
+    with pytest.raises(UsageError, match=r"made by `playlearn collect`.*another --out"):
         collect(point.config(episodes=3), tmp_path / "play", workers=0, resume=True)
 
 

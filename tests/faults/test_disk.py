@@ -29,7 +29,7 @@ from tests.faults.command import HERE, LIMIT, SCRIPT, contents, episodes
 def test_a_disk_that_fills_up(tmp_path: Path) -> None:
     """A real file system of 300 kB holds some of 12 episodes of 30 kB; made larger, it takes the others.
 
-    Made read-only, it is left alone and said so.
+    Made read-only, it is not written to, and reported.
     """
     config = CollectConfig(environment=point.config().environment, episodes=12, steps=12, cameras=("front",), seed=5)
     save_config(config, tmp_path / "collect.yaml")
@@ -95,18 +95,18 @@ class Broken:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("where", ["open", "write", "fsync", "rename", "fsync of the folder"])
-@pytest.mark.parametrize(("number", "words"), [(errno.ENOSPC, "the disk is full"), (errno.EIO, "cannot write")])
+@pytest.mark.parametrize(("number", "message"), [(errno.ENOSPC, "the disk is full"), (errno.EIO, "cannot write")])
 def test_the_disk_fails_at_any_step(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str, number: int, words: str, capfd: Any, config: Path
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str, number: int, message: str, capfd: Any, config: Path
 ) -> None:
-    """The third of 12 episodes cannot be written: two are safe (three once it has its name), and resume goes on."""
+    """The third of 12 episodes cannot be written: two are safe (three once it has its name), and --resume continues."""
     out = tmp_path / "play"
     arguments = ["collect", "--config", str(config), "--out", str(out), "--workers", "0"]
     with monkeypatch.context() as patch:
         fail(patch, where, number, "000002")
         assert cli.main(arguments) == 1
     safe = 3 if where == "fsync of the folder" else 2
-    assert re.search(rf"{words}.*; {safe} episodes are safe.*--resume", capfd.readouterr().err)
+    assert re.search(rf"{message}.*; {safe} episodes are safe.*--resume", capfd.readouterr().err)
     assert sorted(path.name for path in (out / "episodes").iterdir()) == [f"00000{i}.safetensors" for i in range(safe)]
     assert cli.main([*arguments, "--resume"]) == 0
     collect(point.config(), tmp_path / "whole", workers=0)

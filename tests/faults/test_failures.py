@@ -1,4 +1,4 @@
-"""An episode that fails loses no other, is told with its number and seed, and can be played again alone."""
+"""An episode that fails loses no other, is reported with its number and seed, and can be played again by itself."""
 
 import json
 import re
@@ -39,9 +39,9 @@ def test_what_fails_loses_nothing_else_and_is_told(
     assert store.meta(4).ended == "diverged: the point left the plane"
     assert store.lengths().tolist() == [12, 12, 12, 12, point.AT - 1, 12, 12, 12]
     assert "4 episodes failed" in errors
-    commands = dict(re.findall(r"alone, with a traceback: (playlearn collect .*--episode (\d+))", errors))
-    told = {int(index): command for command, index in commands.items()}
-    assert told.keys() == WHY.keys()
+    commands = dict(re.findall(r"by itself, with a traceback: (playlearn collect .*--episode (\d+))", errors))
+    listed = {int(index): command for command, index in commands.items()}
+    assert listed.keys() == WHY.keys()
     for index, why in WHY.items():
         assert re.search(rf"episode {index} \(seed {episode_seed(point.SEED, index)}\): .*{re.escape(why)}", errors)
 
@@ -49,14 +49,14 @@ def test_what_fails_loses_nothing_else_and_is_told(
     before = contents(out)
     monkeypatch.setenv(point.FAULTS, json.dumps(FAULTS))
     with pytest.raises(ZeroDivisionError):
-        cli.main(shlex.split(told[3])[1:])
-    assert cli.main(shlex.split(told[6])[1:]) == 1
+        cli.main(shlex.split(listed[3])[1:])
+    assert cli.main(shlex.split(listed[6])[1:]) == 1
     assert "Traceback" in capfd.readouterr().err
     assert contents(out) == before
 
     # Once nothing happens any more, the same command adds the episode, and --resume the others.
     monkeypatch.delenv(point.FAULTS)
-    assert cli.main(shlex.split(told[3])[1:]) == 0
+    assert cli.main(shlex.split(listed[3])[1:]) == 0
     assert len(NativeStore.open(out)) == 9
     collect(point.config(), out, workers=0, resume=True)
     monkeypatch.setenv(point.FAULTS, json.dumps({8: "diverges"}))
@@ -90,11 +90,11 @@ def test_an_episode_alone(tmp_path: Path, config: Path, capfd: pytest.CaptureFix
     """In a fresh folder a store of its own; in a store that has it, a comparison; never an overwriting."""
     collect(point.config(), tmp_path / "play", workers=0)
     arguments = ["collect", "--config", str(config), "--episode", "7", "--out"]
-    assert cli.main([*arguments, str(tmp_path / "alone")]) == 0
-    alone = NativeStore.open(tmp_path / "alone")
-    assert alone.indices().tolist() == [7]
+    assert cli.main([*arguments, str(tmp_path / "single")]) == 0
+    single = NativeStore.open(tmp_path / "single")
+    assert single.indices().tolist() == [7]
     name = "episodes/000007.safetensors"
-    assert (tmp_path / "alone" / name).read_bytes() == (tmp_path / "play" / name).read_bytes()
+    assert (tmp_path / "single" / name).read_bytes() == (tmp_path / "play" / name).read_bytes()
     assert cli.main([*arguments, str(tmp_path / "play")]) == 0
     assert "is the same, bit for bit" in capfd.readouterr().err
     shutil.copy(tmp_path / "play/episodes/000006.safetensors", tmp_path / "play" / name)

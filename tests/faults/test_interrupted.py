@@ -1,4 +1,4 @@
-"""Whoever is interrupted, however: what was committed stays, nobody is left, and the rest can be gone on with."""
+"""However a command is interrupted: what was committed stays, no process is left, and it can be resumed."""
 
 import os
 import signal
@@ -59,7 +59,7 @@ def test_interrupted_in_every_way_and_resumed_by_any_number_of_workers(tmp_path:
 
 @pytest.mark.slow
 def test_the_real_command_killed_and_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """PlayTable and its physics: what a worker had done when its parent was killed, another process goes on with."""
+    """PlayTable and its physics: what a worker had done when its parent was killed, another process continues."""
     monkeypatch.undo()
     config, out = CollectConfig(episodes=4, steps=12), tmp_path / "play"
     save_config(config, tmp_path / "collect.yaml")
@@ -98,7 +98,7 @@ def test_a_second_collection_is_refused(tmp_path: Path, config: Path, capfd: pyt
 
 
 def test_two_that_begin_at_once_do_not_mix(tmp_path: Path) -> None:
-    """While somebody makes the store, nobody else writes a word of theirs into it."""
+    """While one process makes the store, no other writes into it."""
     (tmp_path / "play").mkdir()
     spec = StoreSpec.of(make_episode(np.random.default_rng(0), 3))
     with locked(tmp_path / "play"), pytest.raises(StoreError, match="being written by another process"):

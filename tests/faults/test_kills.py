@@ -1,4 +1,4 @@
-"""SIGKILL at every step: what was committed loads and verifies, nothing half done is ever seen, and one can go on."""
+"""SIGKILL at every step: what was committed loads and verifies, nothing half done is seen, and it can be resumed."""
 
 import json
 import os

@@ -64,11 +64,11 @@ def test_examples_carry_what_the_encoder_gets_wrong_and_the_labels_of_the_truth(
         errors = {name: file[name] - true[file["t"]] for name in ("observed", "wanted")}
         near = nearest(file["t"], len(true))
         for place, moment in ((1, step), (0, max(step - 1, 0))):
-            told = after.achieved[row, place].numpy()
-            np.testing.assert_allclose(told, true[moment] + errors["observed"][near[moment]], atol=1e-6)
+            estimated = after.achieved[row, place].numpy()
+            np.testing.assert_allclose(estimated, true[moment] + errors["observed"][near[moment]], atol=1e-6)
             if moment in file["t"]:
                 looked["now" if place else "before"] += 1
-                np.testing.assert_allclose(told, file["observed"][list(file["t"]).index(moment)], atol=1e-6)
+                np.testing.assert_allclose(estimated, file["observed"][list(file["t"]).index(moment)], atol=1e-6)
         np.testing.assert_allclose(
             after.goal_achieved[row].numpy(), true[goal] + errors["wanted"][near[goal]], atol=1e-6
         )
@@ -88,12 +88,12 @@ def test_only_episodes_that_are_missing_are_looked_at_again(folder: Path, tmp_pa
     assert second.read_bytes() == b"untouched"
     second.write_bytes(before)
     assert read(tmp_path, numbers[0])["t"].size
-    with pytest.raises(UsageError, match=r"another every: name another perceived\.folder"):
+    with pytest.raises(UsageError, match=r"another every: give the same, or name another perceived\.folder"):
         make_perceived(dataclasses.replace(config_, every=5), store, tmp_path, workers=0)
 
 
 @pytest.mark.slow
-def test_training_learns_from_it_and_judges_by_it(
+def test_training_learns_from_it_and_validates_on_it(
     folder: Path,  # noqa: F811
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -101,19 +101,19 @@ def test_training_learns_from_it_and_judges_by_it(
     """Own play and further play alike, held-out play too; the numbers' scale stays that of the truth."""
     monkeypatch.setattr("playlearn.training.job.make_perceived", functools.partial(make_perceived, workers=0))
     more = [{"store": str(folder / "play"), "fraction": 0.5}]
-    told = {"encoder": str(folder / "encoder"), "every": 10}
+    perceived = {"encoder": str(folder / "encoder"), "every": 10}
     fields = {"val_batches": 2, "val_every": 20, "extra_datasets": more}
     train(config(folder, STATE, **fields), tmp_path / "plain")
-    train(config(folder, STATE, **fields, perceived=told), tmp_path / "told")
-    assert sorted(path.name for path in (tmp_path / "told" / "perceived").iterdir()) == ["0", "1"]
-    plain, perceived = (Policy.load(tmp_path / name / "policy") for name in ("plain", "told"))
-    assert torch.equal(plain.normalizer.achieved_mean, perceived.normalizer.achieved_mean)
-    losses = [heldout(tmp_path / name)[0] for name in ("plain", "told")]
+    train(config(folder, STATE, **fields, perceived=perceived), tmp_path / "perceived")
+    assert sorted(path.name for path in (tmp_path / "perceived" / "perceived").iterdir()) == ["0", "1"]
+    plain, seeing = (Policy.load(tmp_path / name / "policy") for name in ("plain", "perceived"))
+    assert torch.equal(plain.normalizer.achieved_mean, seeing.normalizer.achieved_mean)
+    losses = [heldout(tmp_path / name)[0] for name in ("plain", "perceived")]
     assert losses[0] != losses[1], "before the first update the weights are the same, so the examples are not"
 
 
 @pytest.mark.slow
-def test_practice_behind_an_encoder_is_learned_as_that_perceives_it(
+def test_rollouts_behind_an_encoder_are_learned_as_it_perceives_them(
     folder: Path,  # noqa: F811
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -138,8 +138,8 @@ def test_practice_behind_an_encoder_is_learned_as_that_perceives_it(
     assert sorted(path.name for path in looked.iterdir()) == ["0", "1", "2"]
     for number in (1, 2):
         gathered = NativeStore.open(tmp_path / "out" / "rounds" / str(number) / "play")
-        told = json.loads((looked / str(number) / "perceived.json").read_text())
-        assert told["store"] == gathered.name()
+        note = json.loads((looked / str(number) / "perceived.json").read_text())
+        assert note["store"] == gathered.name()
         assert len(list((looked / str(number) / "episodes").iterdir())) == len(gathered)
 
 
@@ -149,11 +149,11 @@ def test_what_cannot_be_perceived_is_refused(folder: Path, tmp_path: Path) -> No
         make_perceived(PerceivedConfig(tmp_path / "none"), store, tmp_path / "a", workers=0)
     with pytest.raises(UsageError, match="makes no pose estimates"):
         make_perceived(PerceivedConfig(folder / "state"), store, tmp_path / "b", workers=0)
-    told = {"encoder": str(folder / "encoder")}
-    with pytest.raises(UsageError, match="looks at images itself"):
-        config(folder, {"type": "cnn"}, perceived=told)
+    perceived = {"encoder": str(folder / "encoder")}
+    with pytest.raises(UsageError, match="sees images itself"):
+        config(folder, {"type": "cnn"}, perceived=perceived)
     with pytest.raises(UsageError, match="neither corrections nor scenes"):
-        config(folder, STATE, perceived=told, corrections={})
+        config(folder, STATE, perceived=perceived, corrections={})
     with pytest.raises(UsageError, match=r"perceived\.every must be at least 1"):
         PerceivedConfig(folder / "encoder", every=0)
     with pytest.raises(UsageError, match="perceived_every must be 0 or more"):
@@ -161,7 +161,7 @@ def test_what_cannot_be_perceived_is_refused(folder: Path, tmp_path: Path) -> No
     other = play(tmp_path / "play", episodes=6)
     train(config(tmp_path, STATE), tmp_path / "state")
     with pytest.raises(UsageError, match="learned from other play"):
-        train(config(tmp_path, STATE, perceived=told, init_from=str(tmp_path / "state")), tmp_path / "out")
+        train(config(tmp_path, STATE, perceived=perceived, init_from=str(tmp_path / "state")), tmp_path / "out")
     assert len(other) == 6
 
 

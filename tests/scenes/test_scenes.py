@@ -28,7 +28,7 @@ EACH = 6
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> NativeStore:
-    """Play of the point world, recorded without images."""
+    """Play of PointEnv, recorded without images."""
     path = tmp_path_factory.mktemp("scenes") / "play"
     play(path)
     return NativeStore.open(path)
@@ -37,7 +37,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> NativeStore:
 def drawn(store: NativeStore, folder: Path, out: list[int], **more: float) -> Scenes:
     config = ScenesConfig(per_episode=EACH, **more)  # type: ignore[arg-type]
     val_mask = np.isin(np.arange(len(store)), out)
-    draw_scenes(config, store, val_mask, CAMERAS, folder, workers=0)  # others do not know this world
+    draw_scenes(config, store, val_mask, CAMERAS, folder, workers=0)  # other processes do not know this environment
     return shown(store, folder)
 
 
@@ -47,15 +47,15 @@ def shown(store: NativeStore, folder: Path) -> Scenes:
 
 def test_scenes_of_an_episode_do_not_depend_on_who_draws_what_before(store: NativeStore, tmp_path: Path) -> None:
     """So that any number of workers leaves the same files."""
-    alone = drawn(store, tmp_path / "alone", [0])
-    names = sorted(path.name for path in (tmp_path / "alone" / "episodes").iterdir())
+    single = drawn(store, tmp_path / "single", [0])
+    names = sorted(path.name for path in (tmp_path / "single" / "episodes").iterdir())
     assert len(names) == len(store)
-    assert len(alone) == EACH * len(store)
-    whole = {name: (tmp_path / "alone" / "episodes" / name).read_bytes() for name in names}
+    assert len(single) == EACH * len(store)
+    whole = {name: (tmp_path / "single" / "episodes" / name).read_bytes() for name in names}
     for position in reversed(range(len(store))):
         rearranged = 0.0 if position == 0 else 0.5
-        draw(str(store.path), str(tmp_path / "alone"), int(store.indices()[position]), rearranged)
-    assert {name: (tmp_path / "alone" / "episodes" / name).read_bytes() for name in names} == whole
+        draw(str(store.path), str(tmp_path / "single"), int(store.indices()[position]), rearranged)
+    assert {name: (tmp_path / "single" / "episodes" / name).read_bytes() for name in names} == whole
 
 
 def test_an_interrupted_drawing_goes_on_and_other_settings_are_refused(store: NativeStore, tmp_path: Path) -> None:
@@ -65,7 +65,7 @@ def test_an_interrupted_drawing_goes_on_and_other_settings_are_refused(store: Na
     first.unlink()
     drawn(store, tmp_path / "drawn", [0])
     assert {path.name: path.read_bytes() for path in (tmp_path / "drawn" / "episodes").iterdir()} == whole
-    with pytest.raises(UsageError, match="holds scenes of another rearranged"):
+    with pytest.raises(UsageError, match="begun with another rearranged"):
         drawn(store, tmp_path / "drawn", [0], rearranged=0.1)
 
 
@@ -158,7 +158,7 @@ def test_an_encoder_is_trained_from_a_store_without_images(store: NativeStore, t
 
 
 def test_scenes_leave_room_for_what_else_is_shown() -> None:
-    with pytest.raises(UsageError, match="leave nothing to the play"):
+    with pytest.raises(UsageError, match="leave nothing for the play"):
         from_dict(TrainConfig, {"scenes": {"fraction": 0.6}, "extra_datasets": [{"store": "x", "fraction": 0.5}]})
     with pytest.raises(UsageError, match="single moments"):
         from_dict(TrainConfig, {"scenes": {}, "policy": {"history": 2}})

@@ -102,7 +102,7 @@ def test_an_interrupted_import_resumes_without_duplicates(tmp_path: Path) -> Non
     store = import_recordings(RobomimicFile(source), out)
     assert len(store) == 12
     assert inodes.items() <= {path.name: path.stat().st_ino for path in (out / "episodes").iterdir()}.items()
-    with pytest.raises(UsageError, match="imported with another mask"):
+    with pytest.raises(UsageError, match="begun with another mask"):
         import_recordings(RobomimicFile(source, mask="train"), out)
     (out / "import.json").unlink()
     with pytest.raises(UsageError, match=r"not made by `playlearn import`"):

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from playlearn.collection import CollectConfig, collect, record_by_hand
-from playlearn.collection.env import env
 from playlearn.episode import Array, Goal
 from playlearn.errors import UsageError
+from playlearn.process_cache import cached_env
 from playlearn.sim import Environment
 from playlearn.store import NativeStore
 from playlearn.teleop.device import Clock, DeviceActor, Wish, open_device, read
@@ -92,7 +92,7 @@ CONFIG = CollectConfig(episodes=2, steps=8)
 
 @pytest.fixture
 def playtable() -> Any:
-    return Blind(env(CONFIG.environment))
+    return Blind(cached_env(CONFIG.environment))
 
 
 def moving(steps: int, seed: int = 0) -> list[tuple[tuple[float, ...], bool, bool]]:

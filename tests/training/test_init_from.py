@@ -1,4 +1,4 @@
-"""Laws of training that goes on from another policy, or trains a part of one."""
+"""Laws of training that starts from another policy, or trains a part of one."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +17,7 @@ from playlearn.training import TrainConfig, train
 from tests.synthetic import make_store
 
 torch.set_num_threads(1)
-EYES = ("encoder.front.*", "encoder.others.*", "encoder.estimate.*")
+IMAGE_ENCODER = ("encoder.front.*", "encoder.others.*", "encoder.estimate.*")
 SEEING = {
     "type": "cnn",
     "hidden": 16,
@@ -59,19 +59,21 @@ def weights(run: Path) -> dict[str, Tensor]:
 
 
 def test_eyes_are_learned_for_a_policy_of_states(play: Path, started: Path, tmp_path: Path) -> None:
-    """All but the eyes is the policy of states, to the bit; the eyes alone moved."""
-    eyes = config(play, SEEING, init_from=str(started), trainable=EYES)
-    train(eyes, tmp_path / "eyes")
-    lent, seeing = weights(started), weights(tmp_path / "eyes")
+    """Trunk and head are the state policy's, bit for bit; only the image encoder was trained."""
+    encoder = config(play, SEEING, init_from=str(started), trainable=IMAGE_ENCODER)
+    train(encoder, tmp_path / "encoder")
+    lent, seeing = weights(started), weights(tmp_path / "encoder")
     for name, value in lent.items():
         assert torch.equal(seeing[name], value), name
-    assert all(name.startswith(tuple(pattern[:-1] for pattern in EYES)) for name in seeing.keys() - lent.keys())
-    train(replace(eyes, steps=4), tmp_path / "longer")
+    assert all(
+        name.startswith(tuple(pattern[:-1] for pattern in IMAGE_ENCODER)) for name in seeing.keys() - lent.keys()
+    )
+    train(replace(encoder, steps=4), tmp_path / "longer")
     moved = weights(tmp_path / "longer")
     assert any(not torch.equal(moved[name], seeing[name]) for name in seeing)
-    # where its eyes are right it does what the policy of states does
-    policy, state = Policy.load(tmp_path / "eyes" / "policy"), Policy.load(started / "policy")
-    batch = eyes.resolved().data.build(_store(play), "train", 0).batch(0, np.arange(5))
+    # where its estimates are right it does what the state policy does
+    policy, state = Policy.load(tmp_path / "encoder" / "policy"), Policy.load(started / "policy")
+    batch = encoder.resolved().data.build(_store(play), "train", 0).batch(0, np.arange(5))
     normal = state._normalized(batch)
     policy.encoder.estimate.forward = lambda *_: normal.achieved  # type: ignore[union-attr, method-assign]
     policy.encoder.estimate.wanted.forward = lambda _: normal.goal_achieved  # type: ignore[union-attr]

@@ -163,7 +163,7 @@ def test_minutes_end_a_run_and_bend_its_schedule(
     train(config(play, steps=1000, max_minutes=1, log_every=1, val_every=1000), tmp_path / "run")
     lines = [line for line in metrics(tmp_path / "run") if "train/lr" in line]
     assert lines[-1]["step"] in (20, 21)
-    last = metrics(tmp_path / "run")[-1]  # the last update is the one that is judged and saved
+    last = metrics(tmp_path / "run")[-1]  # the last update is the one that is evaluated and saved
     assert last["step"] == lines[-1]["step"]
     assert "val/loss" in last
     assert Policy.load(tmp_path / "run" / "policy").config.chunk == config(play).policy.chunk
@@ -205,19 +205,19 @@ def test_without_held_out_play_nothing_is_said_of_it_and_training_is_the_same(
 ) -> None:
     """What is evaluated, before the first update too, draws on nothing that training draws on."""
     settings = config(play, "state", "diffusion")
-    train(settings, tmp_path / "judged")
+    train(settings, tmp_path / "validated")
     capsys.readouterr()
-    train(dataclasses.replace(settings, val_batches=0), tmp_path / "alone")
+    train(dataclasses.replace(settings, val_batches=0), tmp_path / "plain")
     assert "held-out" not in capsys.readouterr().err
-    assert json.loads((tmp_path / "alone" / "run.json").read_text())["outcome"]["val_loss_last"] is None
-    judged, alone = (load_file(tmp_path / run / "policy" / "policy.safetensors") for run in ("judged", "alone"))
-    assert all(torch.equal(judged[name], alone[name]) for name in judged)
+    assert json.loads((tmp_path / "plain" / "run.json").read_text())["outcome"]["val_loss_last"] is None
+    validated, plain = (load_file(tmp_path / run / "policy" / "policy.safetensors") for run in ("validated", "plain"))
+    assert all(torch.equal(validated[name], plain[name]) for name in validated)
 
 
 def test_a_fresh_policy_that_learned_nothing_is_an_error_and_is_kept(
     play: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A rate of 10 throws the weights far away. Who goes on from a trained policy may end where that was, or above."""
+    """A rate of 10 throws the weights far away. A run from a trained policy may end where that was, or above."""
     with pytest.raises(NotLearnedError, match=r"nothing was learned.* after 4 of 4 updates .*learning rate"):
         train(config(play, lr=10.0, ema_decay=0.0), tmp_path / "run")
     assert Policy.load(tmp_path / "run" / "policy").config.chunk == 4
@@ -266,7 +266,7 @@ def test_threads_are_chosen_once(play: Path, tmp_path: Path, threads: list[int])
 
 @pytest.mark.slow
 def test_a_run_is_resumed_with_the_threads_it_was_begun_with(play: Path, tmp_path: Path, threads: list[int]) -> None:
-    """One of before `threads` was a setting: run.json alone says what torch had chosen."""
+    """A run from before `threads` was a setting: only run.json has what torch chose."""
     train(config(play, steps=2), tmp_path / "run")
     file = tmp_path / "run" / "run.json"
     file.write_text(json.dumps({**json.loads(file.read_text()), "threads": 2}))
@@ -292,12 +292,12 @@ def test_time_left_counts_evaluations_and_checkpoints(step: int, minutes: float 
 
 def test_a_run_folder_is_never_overwritten(play: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
-    with pytest.raises(UsageError, match=r"no run at .* to resume"):
+    with pytest.raises(UsageError, match=r"no training run at .* to resume"):
         train(config(play), out, resume=True)
     train(config(play, steps=1), out)
     with pytest.raises(UsageError, match=r"is there already.*--resume"):
         train(config(play), out)
-    with pytest.raises(UsageError, match="another lr, seed: give the same config"):
+    with pytest.raises(UsageError, match="another lr, seed: give the same"):
         train(config(play, lr=0.1, seed=3), out, resume=True)
     train(config(play, steps=2), out, resume=True)  # more of the same is no other run
     assert metrics(out)[-1]["step"] == 2
