@@ -117,13 +117,13 @@ def half_written(folder: Path) -> dict[str, Any]:
 
 def every_line_of_a_collection(folder: Path) -> dict[str, Any]:
     """Killed once before each line of collection and store, the first or another time it is run; then resumed."""
-    from playlearn.collection import env
+    from playlearn.collection import store as module
     from tests.faults import point
 
     point.install()
     config, out = point.config(episodes=2, steps=4), folder / "play"
-    env.git_revision = lambda: "abc"  # type: ignore[assignment]  # quick, and the same in every round
-    env.versions = dict  # type: ignore[assignment]
+    module.git_revision = lambda: "abc"  # type: ignore[assignment]  # quick, and the same in every round
+    module.versions = dict  # type: ignore[assignment]
 
     def act() -> None:
         _collect(config, out)
