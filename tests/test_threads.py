@@ -15,7 +15,7 @@ import scipy.linalg
 import torch
 
 from playlearn import cli
-from playlearn.bench.base import Figure, Size, _apart
+from playlearn.bench.base import Figure, Size, _in_process
 from playlearn.data.prefetch import prepared_ahead
 from playlearn.executor import Job, LocalExecutorConfig
 from playlearn.threads import environment, in_force, limit
@@ -145,7 +145,7 @@ def test_every_worker_has_one_thread(workers: int) -> None:
 @pytest.mark.usefixtures("three")
 def test_a_benchmarks_process_has_one_thread() -> None:
     limit()  # as `run` does before any
-    found = {figure.name: figure.value for figure in _apart(figures, Size())}
+    found = {figure.name: figure.value for figure in _in_process(figures, Size())}
     assert found == {**ALL_ONE, "software_gl": 0}
 
 

@@ -8,7 +8,7 @@ from playlearn.episode import Array
 from playlearn.errors import UsageError
 from playlearn.store import Store
 
-_LAGS = 8  # steps within which an action has had its effect
+_LAGS = 8  # steps within which an action has had its after
 _POSITION = ("eef.x", "eef.y", "eef.z")
 _AXES = ("eef.r00", "eef.r10", "eef.r20", "eef.r01", "eef.r11", "eef.r21")
 _MOVES = ("dx", "dy", "dz", "droll", "dpitch", "dyaw")
@@ -35,8 +35,8 @@ def end_effector_response(store: Store, episodes: Sequence[int]) -> Array:
         )
     where, axes = _pose_indices(names)
     commanded = [moves.index(name) for name in _MOVES]
-    causes: list[list[Array]] = [[], []]
-    effects: list[list[Array]] = [[], []]
+    actions: list[list[Array]] = [[], []]
+    motions: list[list[Array]] = [[], []]
     for i in episodes:
         state = store.array(int(i), "observation.state").astype(float)
         action = store.array(int(i), "action")[:, commanded].astype(float)
@@ -45,13 +45,13 @@ def end_effector_response(store: Store, episodes: Sequence[int]) -> Array:
         motion = np.diff(state[:, where], axis=0), _rotations(state[:, axes])
         lagged = np.stack([action[_LAGS - 1 - lag : len(action) - lag] for lag in range(_LAGS)], axis=1)  # (n, L, 6)
         for kind in range(2):
-            causes[kind].append(lagged[:, :, 3 * kind : 3 * kind + 3].reshape(len(lagged), -1))
-            effects[kind].append(motion[kind][_LAGS - 1 :])
-    if not causes[0]:
+            actions[kind].append(lagged[:, :, 3 * kind : 3 * kind + 3].reshape(len(lagged), -1))
+            motions[kind].append(motion[kind][_LAGS - 1 :])
+    if not actions[0]:
         raise UsageError(f"{store.name()}: its episodes are too short to measure how the end effector responds")
     fits = [
-        np.linalg.lstsq(np.concatenate(cause), np.concatenate(effect), rcond=None)[0]  # (L 3, 3)
-        for cause, effect in zip(causes, effects, strict=True)
+        np.linalg.lstsq(np.concatenate(before), np.concatenate(after), rcond=None)[0]  # (L 3, 3)
+        for before, after in zip(actions, motions, strict=True)
     ]
     return np.stack([_isotropic(fit.reshape(_LAGS, 3, 3).sum(axis=0).T) for fit in fits])
 

@@ -32,7 +32,7 @@ RECORD = "demo.json"
 STOPPED = (130, -15)  # exit codes of a command that was interrupted or terminated
 OPTIONAL = ("film",)  # only to be watched
 EVERY = 60.0  # seconds between two estimates of the time left
-STAGES = ("collect play", "learn", "DAgger", "reach goal images")
+STAGES = ("collect", "train", "DAgger", "evaluate")
 
 
 def demo(config: DemoConfig, out: Path, *, steps: int | None = None, say: Callable[[str], None] | None = None) -> None:
@@ -65,7 +65,7 @@ class _Demo:
         self.record: dict[str, Any] = {}
         self.reference = Reference(0.0, 0.0)
         self.pace = 1.0  # how much longer the stages so far took than was estimated
-        self._said = time.monotonic()
+        self._reported = time.monotonic()
 
     def claim(self) -> None:
         """Find what is done; raises UsageError where `out` was begun with another config."""
@@ -125,7 +125,7 @@ class _Demo:
             "policy": self._training(config.state, "state"),
             "encoder": self._training(config.encoder, "encoder"),
         }
-        self._stage("learn", commands)
+        self._stage("train", commands)
         for what, name, path, part, level in (
             ("the state policy", "state", config.state, "head", config.state_loss),
             ("the image encoder", "encoder", config.encoder, "achieved", config.encoder_loss),
@@ -180,14 +180,14 @@ class _Demo:
         left = STAGES[STAGES.index(name) + 1 :]
         estimated = self._estimated(name)
         self.say(f"== {name}: about {_minutes(estimated * self.pace)}")
-        began = self._said = time.monotonic()
+        began = self._reported = time.monotonic()
 
         def tick() -> None:
             if watch is not None:
                 watch()
             now = time.monotonic()
-            if now - self._said >= EVERY:
-                self._said = now
+            if now - self._reported >= EVERY:
+                self._reported = now
                 pace = max(self.pace, (now - began) / max(estimated, 1e-9))
                 rest = max(0.0, estimated * pace - (now - began)) + pace * sum(map(self._estimated, left))
                 self.say(f"demo | about {_minutes(rest)} left in all")

@@ -311,8 +311,8 @@ class _Run:
         outcome = Outcome.of(map(json.loads, lines), self.step, self.config.steps, self.seconds)
         record = json.loads((self.out / "run.json").read_text(encoding="utf-8"))
         atomic_write(self.out / "run.json", json.dumps({**record, "outcome": outcome.numbers()}, indent=2).encode())
-        for sentence in outcome.summary():
-            print(f"{self.out}: {sentence}", file=sys.stderr, flush=True)
+        for line in outcome.summary():
+            print(f"{self.out}: {line}", file=sys.stderr, flush=True)
         complaint = outcome.complaint()
         # A run that starts from a trained policy may end where that was.
         if complaint is not None and self.config.init_from is None:

@@ -148,7 +148,7 @@ def test_every_stage_is_done_once(run: Callable[..., Any], tmp_path: Path) -> No
     assert first.called == [["film", "play"], ["encoder", "policy"], ["dagger"], ["eval"]]
     record = json.loads((tmp_path / "demo" / "demo.json").read_text())
     assert list(record["stages"]) == list(STAGES)
-    assert record["stages"]["learn"]["core_seconds"] == {"policy": 3.0, "encoder": 3.0}
+    assert record["stages"]["train"]["core_seconds"] == {"policy": 3.0, "encoder": 3.0}
     assert any("preview/report.html" in line for line in printed), "the film is announced while play is collected"
     again, printed = run()
     assert again.called == []
@@ -179,7 +179,7 @@ def test_one_that_was_interrupted_in_its_first_stage_goes_on(
 def test_the_time_is_estimated_from_the_reference(run: Callable[..., Any]) -> None:
     """10 times 2 s and 20 times 1 s of core are 20 s on two cores, for each of four stages."""
     _, printed = run()
-    assert any("learn" in line and "about 20 s" in line for line in printed)
+    assert any("train" in line and "about 20 s" in line for line in printed)
     assert any("all" in line and "about 80 s, on 2 cores" in line for line in printed)
 
 

@@ -94,14 +94,14 @@ class ImageEncoder(Encoder):
         self.estimate = _Estimate(config, len(spec.achieved_names), state) if config.state_supervision > 0 else None
         self.objects: ObjectTokens | None = None
         self.proprio: nn.Module | None = None
-        self.told: GoalStateEncoder | None = None
+        self.goal_encoder: GoalStateEncoder | None = None
         if config.use_estimated_state:
             self.objects = ObjectTokens(spec, config.goal_names, config.hidden, width)
             self.step_tokens += self.objects.count - 1
         else:
             self.proprio = mlp(state, config.hidden, width)
             if "state" in config.goals:
-                self.told = GoalStateEncoder(spec, config.goal_names, config.hidden, width)
+                self.goal_encoder = GoalStateEncoder(spec, config.goal_names, config.hidden, width)
 
     def forward(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
         config = self.config
@@ -113,8 +113,10 @@ class ImageEncoder(Encoder):
         goal_token = self.goal_flag[flag]  # (B, D)
         if self.project_goal is not None and encoded.goal is not None:
             goal_token = goal_token + torch.where((keep & has_image)[:, None], self.project_goal(encoded.goal), 0.0)
-        if self.told is not None:
-            goal_token = goal_token + torch.where((keep & ~has_image)[:, None], self.told(inputs.goal_achieved), 0.0)
+        if self.goal_encoder is not None:
+            goal_token = goal_token + torch.where(
+                (keep & ~has_image)[:, None], self.goal_encoder(inputs.goal_achieved), 0.0
+            )
 
         observed, goal = self._estimated(inputs, encoded, has_image)
         if self.objects is not None and observed is not None and goal is not None:

@@ -59,18 +59,18 @@ class TokensEncoder(Encoder):
         super().__init__()
         self.config = config
         self.step_tokens = config.tokens * len(config.cameras) + 1
-        self.eyes = nn.ModuleDict({camera: ConvBackbone(config, config.hidden) for camera in config.cameras})
+        self.backbones = nn.ModuleDict({camera: ConvBackbone(config, config.hidden) for camera in config.cameras})
         seen = config.channels[-1] + 2
         self.out_proj = nn.ModuleDict({camera: nn.Linear(seen, width) for camera in config.cameras})
         self.proprio = mlp(len(spec.state_names), config.hidden, width)
         self.goal_flag = nn.Parameter(torch.randn(1 + len(config.goals), config.hidden) * 0.02)
-        self.goal_eye: nn.Module | None = None
-        self.told: nn.Module | None = None
+        self.goal_backbone: nn.Module | None = None
+        self.goal_encoder: nn.Module | None = None
         if "image" in config.goals:
             flat = nn.Linear(config.tokens * seen, config.hidden)
-            self.goal_eye = nn.Sequential(ConvBackbone(config, None), nn.Flatten(), flat, nn.ReLU())
+            self.goal_backbone = nn.Sequential(ConvBackbone(config, None), nn.Flatten(), flat, nn.ReLU())
         if "state" in config.goals:
-            self.told = GoalStateEncoder(spec, config.goal_names, config.hidden, config.hidden)
+            self.goal_encoder = GoalStateEncoder(spec, config.goal_names, config.hidden, config.hidden)
         self.goal_out = nn.Linear(config.hidden, width)
 
     def forward(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
@@ -86,7 +86,7 @@ class TokensEncoder(Encoder):
         goal = self._goal(inputs, goal_frame, keep, has_image)  # (B, W)
         condition = goal.repeat_interleave(steps, dim=0)  # (B T, W)
         tokens = []
-        for camera, backbone in self.eyes.items():
+        for camera, backbone in self.backbones.items():
             images = frames[camera]
             if camera != config.goal_camera or goal_frame is None:
                 images = random_shift(images, config.shift, generator)
@@ -99,10 +99,10 @@ class TokensEncoder(Encoder):
         """(B, hidden) the goal, from an image or a state, or that there is none."""
         flag = keep.long() if len(self.config.goals) == 1 else keep * (2 - has_image.long())
         goal = self.goal_flag[flag]
-        if self.goal_eye is not None and frame is not None:
-            goal = goal + torch.where((keep & has_image)[:, None], self.goal_eye(pixels(frame)), 0.0)
-        if self.told is not None:
-            goal = goal + torch.where((keep & ~has_image)[:, None], self.told(inputs.goal_achieved), 0.0)
+        if self.goal_backbone is not None and frame is not None:
+            goal = goal + torch.where((keep & has_image)[:, None], self.goal_backbone(pixels(frame)), 0.0)
+        if self.goal_encoder is not None:
+            goal = goal + torch.where((keep & ~has_image)[:, None], self.goal_encoder(inputs.goal_achieved), 0.0)
         return goal
 
 

@@ -60,7 +60,9 @@ class FastHead(Head):
         self.end = config.vocabulary
         self.longest = chunk * actions + 1  # a token for every letter, and the end token
         self.register_buffer("cosines", _cosines(chunk), persistent=False)
-        self.register_buffer("words", torch.zeros(BYTES, dtype=torch.uint8))  # the tokenizer's JSON, then zeros
+        self.register_buffer(
+            "tokenizer_bytes", torch.zeros(BYTES, dtype=torch.uint8)
+        )  # the tokenizer's JSON, then zeros
         self.in_proj = nn.Linear(width, config.width)
         self.token_embedding = nn.Embedding(config.vocabulary + 1, config.width)
         self.pos_embedding = nn.Parameter(torch.randn(self.longest, config.width) * 0.1)
@@ -153,13 +155,15 @@ class FastHead(Head):
         )
         tokenizer.train_from_iterator(texts, trainer)
         written = json.dumps(json.loads(tokenizer.to_str()), ensure_ascii=False, separators=(",", ":")).encode()
-        self.get_buffer("words").zero_()[: len(written)] = torch.frombuffer(bytearray(written), dtype=torch.uint8)
+        self.get_buffer("tokenizer_bytes").zero_()[: len(written)] = torch.frombuffer(
+            bytearray(written), dtype=torch.uint8
+        )
         self._read()
 
     def _read(self) -> None:
         from tokenizers import Tokenizer
 
-        written = bytes(self.get_buffer("words").cpu().numpy()).rstrip(b"\0").decode()
+        written = bytes(self.get_buffer("tokenizer_bytes").cpu().numpy()).rstrip(b"\0").decode()
         self._tokenizer: Any = Tokenizer.from_str(written)
         texts = {token_id: text for text, token_id in self._tokenizer.get_vocab().items()}
         # a token beyond the vocabulary that was learned is an empty text

@@ -63,8 +63,8 @@ class LatentPlanHead(Head):
         hidden, latent = config.hidden, config.latent
         # Both ways along the window: a plan depends on all of it.
         self.reader = nn.GRU(actions + 1, hidden // 2, batch_first=True, bidirectional=True)
-        self.posterior_encoder = _mlp(width + hidden, hidden, 2 * latent)
-        self.proposer = _mlp(width, hidden, 2 * latent)
+        self.plan_recognition = _mlp(width + hidden, hidden, 2 * latent)
+        self.plan_proposal = _mlp(width, hidden, 2 * latent)
         self.decoder = nn.Sequential(
             _mlp(width + latent, hidden, hidden), nn.GELU(), nn.Linear(hidden, chunk * actions)
         )
@@ -74,7 +74,7 @@ class LatentPlanHead(Head):
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """`proposed`: the error with the proposed plan, which is what the policy acts by."""
         config = self.config
-        recognized, proposed = self._recognize(features, chunk, mask), _plans(self.proposer(features))
+        recognized, proposed = self._recognize(features, chunk, mask), _plans(self.plan_proposal(features))
         noise = draw_noise(recognized.mean.shape, generator, recognized.mean.device)
         error = masked_mean((self._decode(features, recognized.draw(noise)) - chunk).abs(), mask)
         forward, back = _divergence(recognized.detached(), proposed), _divergence(recognized, proposed.detached())
@@ -96,14 +96,14 @@ class LatentPlanHead(Head):
 
     def _act(self, features: Tensor, noise: Tensor, guidance: Guidance | None) -> Tensor:
         def chunk(given: Tensor) -> Tensor:
-            return self._decode(given, _plans(self.proposer(given)).draw(noise))
+            return self._decode(given, _plans(self.plan_proposal(given)).draw(noise))
 
         return guided(chunk, features, guidance)
 
     def _recognize(self, features: Tensor, chunk: Tensor, mask: Tensor) -> _Plans:
         shown = torch.where(mask.unsqueeze(-1), chunk, 0.0)
         read = self.reader(torch.cat([shown, mask.unsqueeze(-1).to(shown.dtype)], dim=-1))[0].mean(1)  # (B, hidden)
-        return _plans(self.posterior_encoder(torch.cat([features, read], dim=-1)))
+        return _plans(self.plan_recognition(torch.cat([features, read], dim=-1)))
 
     def _decode(self, features: Tensor, plan: Tensor) -> Tensor:
         chunk: Tensor = self.decoder(torch.cat([features, plan], dim=-1)).unflatten(-1, self.shape)
