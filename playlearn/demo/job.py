@@ -112,7 +112,7 @@ class _Demo:
                     webbrowser.open(page.resolve().as_uri())
 
         commands = {"play": play} if announced else {"play": play, "film": film}
-        self._stage("collect play", commands, watch)
+        self._stage("collect", commands, watch)
 
     def learn(self) -> None:
         """Train the state policy and the image encoder side by side.
@@ -158,7 +158,7 @@ class _Demo:
         folder = self.out / "eval"
         command = ["eval", "--run", str(self.out / "run"), "--suite", str(self.config.suite), "--goal", "image"]
         command += ["--episodes", str(self.config.episodes), "--out", str(folder)]
-        self._stage("reach goal images", {"eval": command})
+        self._stage("evaluate", {"eval": command})
         results = json.loads((folder / "results.json").read_text())
         self._table(results)
         problem = success_problem(results)

@@ -37,7 +37,7 @@ CASES = [
     (["playlearn", "train", "--policy.head.type", ""], {"flow", "diffusion", "gaussian"}, {"--config"}),
     (["playlearn", "eval", "--goal", ""], {"image", "state"}, {"--suite"}),
     (["playlearn", "export", ""], {"lerobot", "robomimic", "policy"}, {"train"}),
-    (["playlearn", "dagger", "--baseline", ""], {"none", "play", "noise"}, {"--suite"}),
+    (["playlearn", "dagger", "--gather.type", ""], {"rollouts", "play", "noise"}, {"--suite"}),
 ]
 
 
@@ -52,14 +52,18 @@ def shell(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return request.param, script
 
 
-@pytest.mark.parametrize(("words", "offered", "not_offered"), CASES, ids=lambda case: " ".join(case)[:40])
+@pytest.mark.parametrize(
+    ("words", "offered", "not_offered"),
+    CASES,
+    ids=lambda case: " ".join(sorted(case) if isinstance(case, set) else case)[:40],
+)
 def test_completion_offers_what_may_come_next(
     shell: tuple[str, Path], words: list[str], offered: set[str], not_offered: set[str]
 ) -> None:
     name, script = shell
     quoted = " ".join(f"'{word}'" for word in words)
     program = SHELLS[name].format(script=script, words=quoted, last=len(words) - 1)
-    done = subprocess.run([name, "-c", program], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run([name, "-c", program], capture_output=True, text=True, timeout=600, check=True)
     found = set(done.stdout.split())
     assert offered <= found, done.stderr
     assert not not_offered & found
