@@ -92,7 +92,7 @@ def evaluate(
         "achieved_names": list(gathered.spec.achieved_names),
         "renderer": gathered.renderer,
         "versions": versions(),
-        "revision": git_revision(),
+        "git_revision": git_revision(),
         "policy": {"name": main, **recipes[0].describe()},
         "config": to_dict(config),
         "seconds": round(time.perf_counter() - started, 3),

@@ -45,7 +45,7 @@ RESULTS: dict[str, Any] = {
     "seed": 0,
     "renderer": "numpy",
     "versions": {"playlearn": "0"},
-    "revision": None,
+    "git_revision": None,
     "policy": {"name": "policy", "type": "trained", "run": "runs/<script>alert(1)</script>"},
     "config": {"success_hold_steps": 5, "max_steps": 60, "kind": {"type": "tasks"}},
     "seconds": 12.0,

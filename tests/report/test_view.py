@@ -140,7 +140,7 @@ def evaluation(tmp_path: Path) -> Path:
         "seed": 0,
         "renderer": "none",
         "versions": {},
-        "revision": None,
+        "git_revision": None,
         "policy": {"name": "policy"},
         "config": {"success_hold_steps": 1, "max_steps": 10, "kind": {"type": "tasks"}},
         "seconds": 1.0,

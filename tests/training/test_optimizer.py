@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from playlearn.config import from_dict
 from playlearn.policies.ema import averaged
+from playlearn.policies.heads.diffusion import DiffusionHead
 from playlearn.training import TrainConfig, train
 from tests.policies.parts import small
 from tests.synthetic import make_store
@@ -91,3 +92,17 @@ def test_an_average_warms_up_and_then_forgets_at_its_decay() -> None:
         decay = min(0.25, (1 + n) / (10 + n))
         expected = value if n == 0 else decay * expected + (1 - decay) * value
         assert average.module.weight.item() == pytest.approx(expected)
+
+
+def test_what_warms_up_is_given_the_updates_made(play: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The loss of a head hears the number of each update: 0, 1, 2; held-out losses are those after any warm-up."""
+    heard: list[int | None] = []
+    plain = DiffusionHead.loss
+
+    def loss(head: Any, features: Tensor, chunk: Tensor, mask: Tensor, generator: Any, updates: Any = None) -> Any:
+        heard.append(updates)
+        return plain(head, features, chunk, mask, generator, updates)
+
+    monkeypatch.setattr(DiffusionHead, "loss", loss)
+    trained(play, tmp_path / "three", steps=3)
+    assert heard == [0, 1, 2]

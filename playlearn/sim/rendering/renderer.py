@@ -6,6 +6,7 @@ out of view or covered is left out (`culling`), what stands still before a fixed
 reflections, of which robosuite's floor has one in a hundred, not at all.
 """
 
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -160,7 +161,8 @@ class _Stage:
         return self._context
 
     def __del__(self) -> None:
-        if self._context is not None:
+        # at the interpreter's end the modules are gone, and the process takes its contexts along
+        if self._context is not None and not sys.is_finalizing():
             with our_context():
                 self._context.free()
 
