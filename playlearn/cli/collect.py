@@ -31,7 +31,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from playlearn.collection import CollectConfig, collect, collect_by_hand, collect_one
+    from playlearn.collection import CollectConfig, collect, collect_by_teleoperation, collect_one
     from playlearn.config import load_config
 
     overrides = as_overrides(arguments, "episodes", "seed") + arguments.overrides
@@ -39,7 +39,9 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.episode is not None:
         collect_one(config, arguments.out, arguments.episode)
     elif arguments.device is not None:
-        collect_by_hand(config, arguments.out, arguments.device, arguments.sensitivity, resume=arguments.resume)
+        collect_by_teleoperation(
+            config, arguments.out, arguments.device, arguments.sensitivity, resume=arguments.resume
+        )
     else:
         collect(config, arguments.out, workers=arguments.workers, resume=arguments.resume)
     return DONE

@@ -2,18 +2,18 @@
 
 from playlearn.collection.config import CollectConfig, episode_seed
 from playlearn.collection.job import collect, collect_one, play, record
-from playlearn.collection.render import redraw, render_store
-from playlearn.collection.teleoperate import collect_by_hand, record_by_hand
+from playlearn.collection.render import render_episode, render_store
+from playlearn.collection.teleoperate import collect_by_teleoperation, record_teleoperation
 
 __all__ = [
     "CollectConfig",
     "collect",
-    "collect_by_hand",
+    "collect_by_teleoperation",
     "collect_one",
     "episode_seed",
     "play",
     "record",
-    "record_by_hand",
-    "redraw",
+    "record_teleoperation",
+    "render_episode",
     "render_store",
 ]

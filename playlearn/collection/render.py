@@ -46,7 +46,7 @@ def render_store(
         jobs = [
             Job(
                 key=int(index),
-                function=redraw,
+                function=render_episode,
                 kwargs={"source": str(source), "out": str(out), "index": int(index), "sizes": sizes},
             )
             for index in indices
@@ -55,7 +55,7 @@ def render_store(
         run_jobs(f"render {out}", jobs, len(indices), workers)
 
 
-def redraw(source: str, out: str, index: int, sizes: Mapping[str, Sequence[int]]) -> None:
+def render_episode(source: str, out: str, index: int, sizes: Mapping[str, Sequence[int]]) -> None:
     """Render the episode that was recorded under `index`: one job."""
     store = cached_store(source)
     position = int(np.searchsorted(store.indices(), index))  # by number: `source` may be growing

@@ -14,7 +14,7 @@ from playlearn.teleop.device import DeviceActor, Wish, open_device
 HEIGHT = 480  # of the shown image, in pixels
 
 
-def collect_by_hand(
+def collect_by_teleoperation(
     config: CollectConfig, out: Path, kind: str, sensitivity: float = 1.0, *, resume: bool = False
 ) -> None:
     """Let a person record the episodes that are missing, from the start states that a scripted collection would have.
@@ -31,10 +31,10 @@ def collect_by_hand(
     size = (HEIGHT, round(HEIGHT * width / height))
     with Window(f"playlearn: {out}", *size) as screen:
         actor = DeviceActor(open_device(kind, sensitivity), kind, environment, screen, size=size)
-        record_by_hand(config, out, environment, actor, resume=resume)
+        record_teleoperation(config, out, environment, actor, resume=resume)
 
 
-def record_by_hand(
+def record_teleoperation(
     config: CollectConfig, out: Path, environment: Environment, actor: DeviceActor, *, resume: bool = False
 ) -> None:
     """The same with the environment, the device and the screen given."""

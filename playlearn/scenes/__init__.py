@@ -5,6 +5,6 @@ The true state is privileged information: where each object is, and where in the
 
 from playlearn.scenes.config import ScenesConfig
 from playlearn.scenes.dataset import Scenes
-from playlearn.scenes.draw import SceneEnvironment, draw_scenes, scene_sizes
+from playlearn.scenes.render import SceneEnvironment, render_scenes, scene_sizes
 
-__all__ = ["SceneEnvironment", "Scenes", "ScenesConfig", "draw_scenes", "scene_sizes"]
+__all__ = ["SceneEnvironment", "Scenes", "ScenesConfig", "render_scenes", "scene_sizes"]

@@ -12,7 +12,7 @@ from playlearn.batch import Batch
 from playlearn.data import Indices, laid_end_to_end
 from playlearn.data.prefetch import prepared_ahead
 from playlearn.episode import IMAGES, Array
-from playlearn.scenes.draw import KEYPOINTS
+from playlearn.scenes.render import KEYPOINTS
 from playlearn.store import episode_path
 from playlearn.store.tensors import map_tensors, read_header
 
@@ -21,7 +21,7 @@ _SEED = 0x5CE4E5  # so that these orders are not those of the play
 
 
 class Scenes:
-    """Scenes that `draw_scenes` left in a folder, each its own goal: one image serves as observation and as goal.
+    """Scenes that `render_scenes` left in a folder, each its own goal: one image serves as observation and as goal.
 
     An example's actions are masked: only the image encoder learns from it.
     """

@@ -29,7 +29,7 @@ from playlearn.policies.checkpoint import load_checkpoint, save_checkpoint
 from playlearn.policies.ema import averaged
 from playlearn.report.outcome import Outcome
 from playlearn.report.progress import Pace, Progress
-from playlearn.scenes import draw_scenes, scene_sizes
+from playlearn.scenes import render_scenes, scene_sizes
 from playlearn.store import Store, open_store
 from playlearn.threads import limit
 from playlearn.training.config import TrainConfig, check_out, flattened, stored_threads
@@ -140,7 +140,7 @@ class _Run:
             return
         folder, out = scenes.folder or self.out / "scenes", val_mask(self.store, config.data.val_fraction)
         if self.accelerator.is_main_process:
-            draw_scenes(scenes, self.store, out, config.policy.encoder.observation_cameras, folder)
+            render_scenes(scenes, self.store, out, config.policy.encoder.observation_cameras, folder)
         self.accelerator.wait_for_everyone()
         numbers, actions = self.store.indices(), len(self.spec.action_names)
         drawn = rendered_scenes(config, folder, numbers[~out], actions)

@@ -11,7 +11,7 @@ from playlearn.data.split import val_episodes
 from playlearn.errors import CheckpointError, UsageError
 from playlearn.evaluation import TrainedRecipe, evaluate, join_runs
 from playlearn.policies import Policy
-from playlearn.scenes import ScenesConfig, draw_scenes
+from playlearn.scenes import ScenesConfig, render_scenes
 from playlearn.store import NativeStore
 from playlearn.training import TrainConfig, train
 from tests.evaluation.parts import SUITE, play
@@ -39,7 +39,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("behind")
     store = play(path / "play")
     val_mask = val_episodes(store.indices(), 0.05)
-    draw_scenes(ScenesConfig(per_episode=6), store, val_mask, ("front", "wrist"), path / "scenes", workers=0)
+    render_scenes(ScenesConfig(per_episode=6), store, val_mask, ("front", "wrist"), path / "scenes", workers=0)
     save_config(SUITE, path / "suite.yaml")
     train(config(path, {"type": "state", "hidden": 16}), path / "state")
     learned = ["encoder.front.*", "encoder.others.*", "encoder.estimate.*"]

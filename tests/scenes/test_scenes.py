@@ -14,8 +14,8 @@ from playlearn.envs import PlayTableConfig, StackConfig
 from playlearn.envs.playtable.layout import BLOCK_NAMES, block
 from playlearn.errors import UsageError
 from playlearn.policies import Policy
-from playlearn.scenes import Scenes, ScenesConfig, draw_scenes
-from playlearn.scenes.draw import draw
+from playlearn.scenes import Scenes, ScenesConfig, render_scenes
+from playlearn.scenes.render import render_scenes_of
 from playlearn.store import NativeStore, open_store
 from playlearn.training import TrainConfig, train
 from tests.evaluation.parts import play
@@ -37,7 +37,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> NativeStore:
 def drawn(store: NativeStore, folder: Path, out: list[int], **more: float) -> Scenes:
     config = ScenesConfig(per_episode=EACH, **more)  # type: ignore[arg-type]
     val_mask = np.isin(np.arange(len(store)), out)
-    draw_scenes(config, store, val_mask, CAMERAS, folder, workers=0)  # other processes do not know this environment
+    render_scenes(config, store, val_mask, CAMERAS, folder, workers=0)  # other processes do not know this environment
     return shown(store, folder)
 
 
@@ -54,7 +54,7 @@ def test_scenes_of_an_episode_do_not_depend_on_who_draws_what_before(store: Nati
     whole = {name: (tmp_path / "single" / "episodes" / name).read_bytes() for name in names}
     for position in reversed(range(len(store))):
         rearranged = 0.0 if position == 0 else 0.5
-        draw(str(store.path), str(tmp_path / "single"), int(store.indices()[position]), rearranged)
+        render_scenes_of(str(store.path), str(tmp_path / "single"), int(store.indices()[position]), rearranged)
     assert {name: (tmp_path / "single" / "episodes" / name).read_bytes() for name in names} == whole
 
 

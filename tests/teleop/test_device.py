@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from playlearn.collection import CollectConfig, collect, record_by_hand
+from playlearn.collection import CollectConfig, collect, record_teleoperation
 from playlearn.episode import Array, Goal
 from playlearn.errors import UsageError
 from playlearn.process_cache import cached_env
@@ -107,7 +107,7 @@ def actor(device: Scripted, environment: Environment, screen: Looking, clock: Cl
 def test_what_a_teleoperator_played_is_stored_and_replays_bit_for_bit(tmp_path: Path, playtable: Any) -> None:
     """Two episodes of 8 steps: executed is recorded and is the label; from the first state on they come out again."""
     inputs = [(STILL, False, False)] * 3 + moving(40)
-    record_by_hand(CONFIG, tmp_path / "play", playtable, actor(Scripted(inputs), playtable, Looking()))
+    record_teleoperation(CONFIG, tmp_path / "play", playtable, actor(Scripted(inputs), playtable, Looking()))
     store = NativeStore.open(tmp_path / "play")
     assert store.indices().tolist() == [0, 1]
     assert store.verify() == []
@@ -139,7 +139,7 @@ def test_keys_keep_throw_away_and_leave(tmp_path: Path, playtable: Any) -> None:
     committed: list[int] = []
     out = tmp_path / "play"
     screen = Looking(keys, lambda: committed.append(len(list(out.glob("episodes/*.safetensors")))))
-    record_by_hand(CONFIG, out, playtable, actor(Scripted(inputs), playtable, screen))
+    record_teleoperation(CONFIG, out, playtable, actor(Scripted(inputs), playtable, screen))
     store = NativeStore.open(out)
     assert store.lengths().tolist() == [3, 4]
     assert [store.meta(i).ended for i in range(2)] == ["stopped", "stopped"]
@@ -148,11 +148,11 @@ def test_keys_keep_throw_away_and_leave(tmp_path: Path, playtable: Any) -> None:
 
 def test_leaving_keeps_what_was_begun_and_resume_goes_on(tmp_path: Path, playtable: Any) -> None:
     out = tmp_path / "play"
-    record_by_hand(CONFIG, out, playtable, actor(Scripted(moving(9)), playtable, Looking({4: Wish.LEAVE})))
+    record_teleoperation(CONFIG, out, playtable, actor(Scripted(moving(9)), playtable, Looking({4: Wish.LEAVE})))
     assert NativeStore.open(out).lengths().tolist() == [3]
-    record_by_hand(CONFIG, out, playtable, actor(Scripted([]), playtable, Looking({5: Wish.LEAVE})), resume=True)
+    record_teleoperation(CONFIG, out, playtable, actor(Scripted([]), playtable, Looking({5: Wish.LEAVE})), resume=True)
     assert len(NativeStore.open(out)) == 1, "nothing had been moved"
-    record_by_hand(CONFIG, out, playtable, actor(Scripted(moving(20)), playtable, Looking()), resume=True)
+    record_teleoperation(CONFIG, out, playtable, actor(Scripted(moving(20)), playtable, Looking()), resume=True)
     assert NativeStore.open(out).lengths().tolist() == [3, 8]
 
 
@@ -168,7 +168,9 @@ def test_steps_come_in_real_time_even_where_drawing_is_slow(tmp_path: Path, play
 
         config = CollectConfig(episodes=1, steps=40)
         device = Scripted(moving(60))
-        record_by_hand(config, tmp_path / str(drawing), playtable, actor(device, playtable, Looking({}, look), clock))
+        record_teleoperation(
+            config, tmp_path / str(drawing), playtable, actor(device, playtable, Looking({}, look), clock)
+        )
         assert 2.0 <= clock.time <= most
         assert np.diff(looks).max() < 0.5, "the picture stays fresh"
 

@@ -36,7 +36,7 @@ class SceneEnvironment(Environment, Protocol):
         ...
 
 
-def draw_scenes(
+def render_scenes(
     config: ScenesConfig,
     store: Store,
     val_mask: NDArray[np.bool_],
@@ -64,7 +64,7 @@ def draw_scenes(
     jobs = [
         Job(
             key=int(number),
-            function=draw,
+            function=render_scenes_of,
             kwargs={
                 "source": store.name(),
                 "out": str(folder),
@@ -91,7 +91,7 @@ def scene_sizes(store: Store, cameras: Sequence[str]) -> dict[str, tuple[int, in
     return {camera: (int(image.shape[0]), int(image.shape[1])) for camera, image in images.items()}
 
 
-def draw(source: str, out: str, index: int, rearranged: float) -> None:
+def render_scenes_of(source: str, out: str, index: int, rearranged: float) -> None:
     """Render scenes of the episode that was recorded under `index`: one job."""
     store, note = cached_store(source), cached_note(str(Path(out) / NOTE))
     environment = _environment(store)
