@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from playlearn import executor
 from playlearn.errors import UsageError
-from playlearn.executor import Job, LocalExecutorConfig, LostError
+from playlearn.executor import Job, LocalExecutorConfig, LostError, worker
+from playlearn.executor import local as local_executor
 from playlearn.threads import environment
 
 SLOW_TO_IMPORT = "PLAYLEARN_TEST_SECONDS_TO_IMPORT"
@@ -159,7 +159,7 @@ def test_the_time_a_worker_needs_to_start_is_not_the_jobs(monkeypatch: pytest.Mo
     monkeypatch.setenv(SLOW_TO_IMPORT, "4")
     (result,) = local(1, timeout=2, retries=0).build().run([Job(0, process_and_threads)])
     assert result.seconds < 2
-    monkeypatch.setattr(executor, "START", 0.0)
+    monkeypatch.setattr(worker, "START", 0.0)
     with pytest.raises(LostError, match=r"did not finish within 2 s"):
         list(local(1, timeout=2, retries=0).build().run([Job(0, process_and_threads)]))
 
@@ -212,7 +212,7 @@ def busy(tmp_path: Path) -> tuple["subprocess.Popen[bytes]", list[int]]:
         [sys.executable, str(script), str(tmp_path / "child-")],
         start_new_session=True,
         stderr=subprocess.PIPE,
-        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])},
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
     )
     children: list[int] = []
     while len(children) < 2 and process.poll() is None:
@@ -251,13 +251,13 @@ def test_ctrl_c_cannot_strike_a_worker_that_is_still_starting(
 ) -> None:
     """SIGINT in a worker's first moment, before any code of ours runs there: it works on and says nothing."""
 
-    class Struck(executor._Worker):
+    class Struck(worker.Worker):
         def __init__(self) -> None:
             super().__init__()
             assert self.process.pid is not None
             os.kill(self.process.pid, signal.SIGINT)
 
-    monkeypatch.setattr(executor, "_Worker", Struck)
+    monkeypatch.setattr(local_executor, "Worker", Struck)
     (result,) = local(1).build().run([Job(0, blocked_signals)])
     assert (result.value, result.tries) == (set(), 1)
     assert capfd.readouterr().err == ""
