@@ -29,16 +29,9 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    commands = _commands()
+    commands = {verb.name: _command(verb, parser._actions) for verb, parser in arguments.parsers.items()}
     print(_bash(commands) if arguments.shell == "bash" else _zsh(commands), end="")
     return DONE
-
-
-def _commands() -> dict[str, Command]:
-    from playlearn.cli.parser import MODULES, build_parser
-
-    _, parsers = build_parser()
-    return {module.VERB.name: _command(module.VERB, parsers[module.VERB.name]._actions) for module in MODULES}
 
 
 def _command(verb: Verb, actions: Sequence[argparse.Action]) -> Command:

@@ -48,21 +48,21 @@ MODULES = (
 
 
 def parse(argv: Sequence[str] | None) -> argparse.Namespace:
-    """The arguments with `command`, `kept` and `overrides`; exits where they are wrong, or after `--help`."""
-    parser, _ = build_parser()
+    """With `command`, `kept`, `overrides` and `parsers`; exits where the arguments are wrong, or after `--help`."""
+    parser, parsers = build_parser()
     arguments, left = parser.parse_known_args(argv)
     if left and not arguments.free:
         parser.error(f"unknown argument {left[0]}")
-    arguments.overrides = left
+    arguments.overrides, arguments.parsers = left, parsers
     return arguments
 
 
-def build_parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
-    """The parser of everything, and those of the commands by name."""
+def build_parser() -> tuple[argparse.ArgumentParser, dict[Verb, argparse.ArgumentParser]]:
+    """The parser of everything, and that of each command."""
     parser = _Parser(prog="playlearn", description="Robots that reach any goal you show them, learned from play.")
     parser.add_argument("--version", action="version", version=f"playlearn {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    own: dict[str, argparse.ArgumentParser] = {}
+    own: dict[Verb, argparse.ArgumentParser] = {}
     for module in MODULES:
         verb: Verb = module.VERB
         description = f"{verb.help[0].upper()}{verb.help[1:]}."
@@ -71,7 +71,7 @@ def build_parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.Argument
         )
         made.set_defaults(command=verb.run, free=verb.overrides, kept=verb.kept)
         verb.add(made)
-        own[verb.name] = made
+        own[verb] = made
     return parser, own
 
 
