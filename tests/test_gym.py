@@ -21,6 +21,7 @@ def python(code: str) -> str:
     return done.stdout.strip()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "imports",
     [
@@ -35,6 +36,7 @@ def test_to_import_both_in_any_order_registers(imports: str) -> None:
     assert python(f"{imports}; {check}; print('playlearn/PlayTable-v0' in gymnasium.registry)") == "True"
 
 
+@pytest.mark.slow
 def test_a_module_in_the_name_needs_no_import() -> None:
     code = """
 import gymnasium

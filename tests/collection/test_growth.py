@@ -51,6 +51,7 @@ def counter() -> Counter:
     return Counter()
 
 
+@pytest.mark.slow
 def test_an_append_costs_the_same_however_many_are_there(tmp_path: Path, counter: Counter) -> None:
     """Not one call and not one system call more at 100 episodes than at 3; above all, nothing is listed."""
     episode = make_episode(np.random.default_rng(0), 5)

@@ -97,6 +97,7 @@ def test_dict_and_json_hold_the_whole_config(run: RunConfig) -> None:
     assert from_dict(RunConfig, json.loads(json.dumps(to_dict(run)))) == run
 
 
+@pytest.mark.slow
 @any_speed
 @given(run=runs)
 def test_a_saved_config_is_read_back(run: RunConfig, tmp_path_factory: pytest.TempPathFactory) -> None:

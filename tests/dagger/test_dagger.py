@@ -106,6 +106,7 @@ def test_rollouts_are_relabeled_with_the_commanded_goal(run: Path, tmp_path: Pat
     )
 
 
+@pytest.mark.slow
 def test_an_expert_that_does_not_finish_is_counted_and_leaves_nothing(run: Path, tmp_path: Path) -> None:
     rule = InterventionRule(0.0, 8, NoGateConfig(), (1, 1))
     spec = RolloutSpec(
@@ -202,6 +203,7 @@ def test_a_killed_round_is_resumed_and_those_before_it_are_not_repeated(
     assert all(torch.equal(one[name], other[name]) for name in one)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("baseline", [pytest.param("play", marks=pytest.mark.slow), "noise"])
 def test_a_baseline_adds_as_many_steps_of_play(
     baseline: str, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

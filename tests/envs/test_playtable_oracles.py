@@ -193,6 +193,7 @@ def test_the_expert_rests_where_nothing_is_to_be_done(env: PlayTableEnv) -> None
     np.testing.assert_allclose(env.achieved(), start, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_play_is_the_same_for_the_same_seed(env: PlayTableEnv) -> None:
     first, again = play(env, 3, 60, PlayConfig()), play(env, 3, 60, PlayConfig())
     np.testing.assert_array_equal(first.action, again.action)
@@ -214,6 +215,7 @@ def test_mistakes_change_what_is_done_and_not_what_was_meant(env: PlayTableEnv) 
     assert np.abs(seen).max() <= 1
 
 
+@pytest.mark.slow
 def test_play_changes_the_table_in_many_ways(env: PlayTableEnv) -> None:
     """Until four kinds of skill were tried, a block was moved and the gripper moved about: two tries suffice."""
     skills, moved, about = set(), 0.0, 0.0

@@ -39,6 +39,7 @@ def test_the_policy_gets_the_goal_in_its_modality(image_run: Path) -> None:
     assert [goal.images["front"].shape for goal in seen] == [(24, 32, 3)]
 
 
+@pytest.mark.slow
 def test_a_policy_of_another_environment_is_refused(tmp_path: Path) -> None:
     """Its achieved goal has a drawer, this environment has none; nothing is simulated."""
     other = replace(spec(), achieved_names=("puck.x", "puck.y", "drawer"))
@@ -56,6 +57,7 @@ def test_a_policy_of_another_robot_is_refused(tmp_path: Path) -> None:
         TrainedRecipe(tmp_path / "run", "state").build(PointEnv(PointConfig()))
 
 
+@pytest.mark.slow
 def test_subgoals_lead_a_policy(tmp_path: Path, run: Path, image_run: Path) -> None:
     """A high-level policy that proposes no change gives the low-level policy the goal itself; the results name both."""
     proposes = replace(spec(), action_names=spec().achieved_names, predicts="next_settled_delta")

@@ -52,6 +52,7 @@ def suite(folder: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_every_failure_has_one_mode_and_the_expert_is_evaluated_too(tmp_path: Path, run: Path) -> None:
     """Each failure is counted once; the expert reaches the policy's goals; everything is written."""
     results = diagnose(run, suite(tmp_path), tmp_path / "out", goal="state", workers=0, expert=hand_expert)

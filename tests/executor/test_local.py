@@ -108,6 +108,7 @@ def test_starting_workers_leaves_the_environment_as_it_was() -> None:
     assert dict(os.environ) == before
 
 
+@pytest.mark.slow
 def test_a_lost_workers_job_runs_again(tmp_path: Path) -> None:
     """Killed twice, the third and last try gives the value; it is counted once."""
     results = list(local(1).build().run([Job(0, die_until, {"marks": str(tmp_path), "times": 2})]))

@@ -93,6 +93,7 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
         compare(described(tmp_path), tmp_path / "out", workers=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
 def test_every_shipped_variant_is_a_training(path: Path) -> None:
     config = load_config(CompareConfig, path)

@@ -139,6 +139,7 @@ def test_lerobots_loop_gives_our_results(run: Path, their_env: "GoalEnv", tmp_pa
         np.testing.assert_allclose(done["action"][number][:12].numpy(), outcome.episode.action, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_config_says_what_the_policy_reads(run: Path, tmp_path: Path) -> None:
     export_policy(run, tmp_path / "out")
     config = json.loads((tmp_path / "out" / "config.json").read_text())

@@ -92,6 +92,7 @@ def test_it_is_split_and_merged_and_read_again(
         assert np.square(seen.astype(float) - shown).mean() < 255**2 / 10**2.5  # 25 dB, as the film was written
 
 
+@pytest.mark.slow
 def test_its_info_is_printed(plain: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     edit(monkeypatch, repo_id="local/plain", root=plain, operation_type="info")
     output = capsys.readouterr().out

@@ -111,6 +111,7 @@ def test_plans_and_their_noise_are_meant() -> None:
     assert np.ptp(places[:, :2], axis=0).min() > 0.1
 
 
+@pytest.mark.slow
 def test_noise_is_executed_and_not_meant() -> None:
     """AR(1): its std at full speed is the config's, and `noise_autocorrelation` of it stays from step to step."""
     decisions, _ = play(dataclasses.replace(NOTHING, noise=0.1, noise_autocorrelation=0.8), steps=6000)
@@ -123,6 +124,7 @@ def test_noise_is_executed_and_not_meant() -> None:
     assert np.corrcoef(whole[1:][pairs], whole[:-1][pairs])[0, 1] == pytest.approx(0.8, abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("open_loop", [0.0, 1.0])
 def test_a_mistake_is_marked_mended_and_labeled_with_what_was_right(open_loop: float) -> None:
     config = dataclasses.replace(NOTHING, mistake=1.0, open_loop=open_loop)
@@ -152,6 +154,7 @@ def test_a_slip_opens_the_gripper_and_the_label_does_not() -> None:
     assert slipping[0].label[-1] == CLOSE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("open_loop", [0.0, 1.0])
 def test_who_gives_up_does_so_for_good(open_loop: float) -> None:
     """Dropped 10 to 59 steps into it, the mark on its last step; what is done before is not dropped."""

@@ -41,6 +41,7 @@ def test_an_episode_is_looked_at_every_so_many_steps_and_at_its_end(folder: Path
         assert file["observed"].shape == file["wanted"].shape == (len(file["t"]), len(policy.spec.achieved_names))
 
 
+@pytest.mark.slow
 def test_examples_carry_what_the_encoder_gets_wrong_and_the_labels_of_the_truth(
     folder: Path,  # noqa: F811
     tmp_path: Path,
@@ -143,6 +144,7 @@ def test_rollouts_behind_an_encoder_are_learned_as_it_perceives_them(
         assert len(list((looked / str(number) / "episodes").iterdir())) == len(gathered)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_perceived_is_refused(folder: Path, tmp_path: Path) -> None:  # noqa: F811
     store = NativeStore.open(folder / "play")
     with pytest.raises(CheckpointError, match="no run at"):

@@ -26,6 +26,7 @@ def replaced_state(batch: Examples) -> Examples:
     return dataclasses.replace(batch, state=examples(len(batch.state), history=3, seed=9).state)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoder", ENCODERS)
 def test_a_hidden_past_and_a_withheld_body_leave_no_trace(encoder: str) -> None:
     """With a share of 1 the training loss is the same whatever the past, or the body, was; with 0 it is not."""

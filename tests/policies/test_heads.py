@@ -96,6 +96,7 @@ def test_a_multimodal_head_recovers_two_modes(name: str) -> None:
     assert (drawn[:, 0] > 0).sum().item() == pytest.approx(300, abs=60)
 
 
+@pytest.mark.slow
 def test_one_gaussian_averages_two_modes() -> None:
     """Why the other heads exist: mean 0.5 and standard deviation sqrt(0.75), where there is no data at all."""
     head = train_on_two_modes(GaussianConfig(hidden=32), updates=400)

@@ -97,12 +97,14 @@ def opened(browser: Any, html: str, tmp_path_factory: pytest.TempPathFactory) ->
     return tab, complaints, [url for url in requests if not url.startswith(("file:", "data:"))]
 
 
+@pytest.mark.slow
 def test_it_loads_without_errors_or_requests(opened: tuple[Any, list[str], list[str]]) -> None:
     _, complaints, requests = opened
     assert complaints == []
     assert requests == []
 
 
+@pytest.mark.slow
 def test_every_picture_is_there(opened: tuple[Any, list[str], list[str]]) -> None:
     """3 episodes of 3 stills each and 2 films: 11 pictures, in the camera's own shape of 24 x 32."""
     sizes = opened[0].eval_on_selector_all("img", "all => all.map(i => [i.naturalWidth, i.naturalHeight])")
@@ -111,6 +113,7 @@ def test_every_picture_is_there(opened: tuple[Any, list[str], list[str]]) -> Non
     assert sizes.count([128 * 2 + 4, 96]) == 2, "films have the goal beside the episode"
 
 
+@pytest.mark.slow
 def test_the_table_matches_the_results(opened: tuple[Any, list[str], list[str]]) -> None:
     """5 of 7, 1 of 6 and 6 of 13, with one decimal; the references beside them."""
     cells = opened[0].eval_on_selector_all(
@@ -130,6 +133,7 @@ def test_the_table_matches_the_results(opened: tuple[Any, list[str], list[str]])
     assert width / whole == pytest.approx(6 / 13, abs=0.01)
 
 
+@pytest.mark.slow
 def test_curves_end_where_the_rates_are(opened: tuple[Any, list[str], list[str]]) -> None:
     """One line a policy; the expert's ends at the top of the plot, above all others."""
     ends = opened[0].eval_on_selector_all(
@@ -140,6 +144,7 @@ def test_curves_end_where_the_rates_are(opened: tuple[Any, list[str], list[str]]
     assert expert < policy < random
 
 
+@pytest.mark.slow
 def test_failures_have_pictures_and_reasons(opened: tuple[Any, list[str], list[str]]) -> None:
     tab = opened[0]
     assert tab.locator("#failures figure").count() == 2
@@ -147,6 +152,7 @@ def test_failures_have_pictures_and_reasons(opened: tuple[Any, list[str], list[s
     assert tab.locator("#successes figure").count() == 1
 
 
+@pytest.mark.slow
 def test_it_fits_a_phone(browser: Any, html: str, tmp_path: Path) -> None:
     """Nothing but the table, which scrolls in its own panel, is wider than a narrow screen."""
     (tmp_path / "report.html").write_text(html)

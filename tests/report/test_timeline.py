@@ -20,6 +20,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> NativeStore:
     return make_store(tmp_path_factory.mktemp("line") / "play", np.random.default_rng(0), 2, 300, {"front": (6, 8)})
 
 
+@pytest.mark.slow
 def test_each_moment_is_a_line_through_every_curve_and_named(store: NativeStore) -> None:
     table = RelabelIndex.of_store(store, SettlingConfig(), episodes=[1])
     moments, ends = table.settled(0)
@@ -68,6 +69,7 @@ def test_view_writes_it_where_a_png_is_asked_for(store: NativeStore, tmp_path: P
         timeline(store, 2, tmp_path / "two.png")
 
 
+@pytest.mark.slow
 def test_what_was_never_seen_achieved_or_settled_can_be_drawn(tmp_path: Path) -> None:
     """A real robot's recording without cameras, in which nothing moved."""
     made = make_episode(np.random.default_rng(0), 60)

@@ -184,6 +184,7 @@ def test_a_camera_sees_a_block_where_it_is_projected() -> None:
     assert np.isnan(env.project("front", behind)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("config", [PlayTableConfig(), StackConfig()], ids=lambda config: type(config).__name__)
 def test_objects_are_placed_anew_around_a_robot_that_stays(config: PlayTableConfig | StackConfig) -> None:
     env = config.build()

@@ -50,6 +50,7 @@ def exported(store: NativeStore, cache: Path, tmp_path_factory: pytest.TempPathF
     return out
 
 
+@pytest.mark.slow
 def test_lerobot_reads_every_frame_back(store: NativeStore, exported: Path) -> None:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 

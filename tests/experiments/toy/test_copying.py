@@ -19,6 +19,7 @@ def _made(count: int, seed: int) -> _Examples:
     return _Examples(past, observation, np.stack([past[:, -1, 0], observation[:, 1]], axis=1))
 
 
+@pytest.mark.slow
 def test_each_input_predicts_its_half_of_the_action() -> None:
     """Of two actions of equal std one is in the past and one in the observation: R2 of 0.5, 0.5 and 1.
 

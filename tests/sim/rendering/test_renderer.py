@@ -124,6 +124,7 @@ def test_robosuite_draws_beside_us(env: PlayTableEnv, states: list[np.ndarray]) 
         assert ssim(theirs, ours) > 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", ["front", "wrist", "agentview", "sideview"])
 def test_what_is_left_out_cannot_be_seen(env: PlayTableEnv, states: list[np.ndarray], camera: str) -> None:
     """Out of view, covered by the table, or drawn once for all: to the last bit what one full drawing shows."""
@@ -196,6 +197,7 @@ def test_images_are_upright_and_the_robot_stands_behind(env: PlayTableEnv) -> No
     assert image[:10].mean() < bottom.mean() - 20
 
 
+@pytest.mark.slow
 def test_colors_stand_where_the_blocks_do(env: PlayTableEnv) -> None:
     """Moving the red block along +y moves the red pixels to the right: the camera looks back at the robot."""
     env.reset(0)
