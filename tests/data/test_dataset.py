@@ -109,10 +109,10 @@ def test_an_epoch_has_each_example_once(store: NativeStore) -> None:
 
 
 def test_the_splits_share_no_episode(store: NativeStore) -> None:
-    train, heldout = (DataConfig(val_fraction=0.25).build(store, split, 0) for split in ("train", "val"))
-    assert sorted([*train.episodes, *heldout.episodes]) == [0, 1, 2, 3, 4]
+    train, val = (DataConfig(val_fraction=0.25).build(store, split, 0) for split in ("train", "val"))
+    assert sorted([*train.episodes, *val.episodes]) == [0, 1, 2, 3, 4]
     assert set(train.where(np.arange(len(train)))[0].tolist()) <= set(train.episodes.tolist())
-    assert set(heldout.where(np.arange(len(heldout)))[0].tolist()) <= set(heldout.episodes.tolist())
+    assert set(val.where(np.arange(len(val)))[0].tolist()) <= set(val.episodes.tolist())
 
 
 @pytest.mark.parametrize("kind", sorted(GoalSamplerConfig.get_known_choices()))

@@ -109,7 +109,7 @@ def test_training_learns_from_it_and_validates_on_it(
     assert sorted(path.name for path in (tmp_path / "perceived" / "perceived").iterdir()) == ["0", "1"]
     plain, seeing = (Policy.load(tmp_path / name / "policy") for name in ("plain", "perceived"))
     assert torch.equal(plain.normalizer.achieved_mean, seeing.normalizer.achieved_mean)
-    losses = [heldout(tmp_path / name)[0] for name in ("plain", "perceived")]
+    losses = [val_losses(tmp_path / name)[0] for name in ("plain", "perceived")]
     assert losses[0] != losses[1], "before the first update the weights are the same, so the examples are not"
 
 
@@ -172,6 +172,6 @@ def read(path: Path, number: int) -> dict[str, np.ndarray]:
     return {name: np.array(value) for name, value in map_tensors(file, read_header(file).layout).items()}
 
 
-def heldout(run: Path) -> list[float]:
+def val_losses(run: Path) -> list[float]:
     rows = map(json.loads, (run / "metrics.jsonl").read_text().splitlines())
     return [row["val/loss"] for row in rows if "val/loss" in row]

@@ -114,7 +114,7 @@ def test_an_episode_is_a_function_of_its_seed() -> None:
 
 
 def test_plans_reuse_their_noise_for_as_long_as_the_head_asks() -> None:
-    """The same is seen at every step, so only luck can change what is done: here with every third chunk."""
+    """The same is seen at every step, so only the noise can change what is done: here with every third chunk."""
     made = policy(head="diffusion")
     made.head.noise_repeat = 3
     actor, rng = PolicyActor(made, n_action_steps=1), np.random.default_rng(0)

@@ -65,7 +65,7 @@ def test_other_units_scale_them(play: list[np.ndarray], factor: float) -> None:
 
 
 def test_dimensions_of_one_quantity_share_theirs_in_any_order(play: list[np.ndarray]) -> None:
-    """A thing that was hardly touched is judged by how far its like are moved."""
+    """A thing that was hardly touched is measured by how far its like are moved."""
     nudged = [np.concatenate([one, 0.01 * one[:, :1]], axis=1) for one in play]
     names = (*ACHIEVED, "green.x")
     change, rest = measure(nudged, names, FPS, WINDOW)

@@ -100,8 +100,8 @@ def test_what_does_not_fit_is_refused(play: Path, started: Path, tmp_path: Path)
             match=r"init_from: the policy of .* has another .*: copy the `policy` block of that run; to start an image",
         ):
             train(config(play, encoder, init_from=str(started)), tmp_path / "run")
-    with pytest.raises(UsageError, match=r"trainable: 'eyes' matches no parameter; there are encoder\.estimate"):
-        train(config(play, SEEING, trainable=["eyes"]), tmp_path / "run")
+    with pytest.raises(UsageError, match=r"trainable: 'nothing' matches no parameter; there are encoder\.estimate"):
+        train(config(play, SEEING, trainable=["nothing"]), tmp_path / "run")
 
 
 def _store(play: Path) -> Any:
