@@ -160,9 +160,9 @@ class _Stage:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)  # each context has its own
         return self._context
 
-    def __del__(self) -> None:
-        # at the interpreter's end the modules are gone, and the process takes its contexts along
-        if self._context is not None and not sys.is_finalizing():
+    def __del__(self, is_finalizing: Callable[[], bool] = sys.is_finalizing) -> None:
+        # at the interpreter's end this module's own names are gone, and the process takes its contexts along
+        if self._context is not None and not is_finalizing():
             with our_context():
                 self._context.free()
 

@@ -12,6 +12,7 @@ from playlearn.envs import PlayTableConfig
 from playlearn.envs.playtable.env import PlayTableEnv, _paint
 from playlearn.envs.playtable.scene import PlayTable
 from playlearn.errors import RenderError
+from playlearn.sim.rendering import renderer
 from playlearn.sim.rendering.gl import our_context
 from playlearn.sim.rendering.renderer import _Stage
 from playlearn.sim.rendering.simplify import FINEST, simplified_model
@@ -221,3 +222,13 @@ def test_the_lamp_is_seen_to_be_lit(env: PlayTableEnv) -> None:
         pictures.append(env.render("front").astype(int))
     changed = np.abs(pictures[1] - pictures[0]).max(axis=2) > 60
     assert 8 < changed.sum() < 0.05 * changed.size  # a bulb of some pixels, and nothing else
+
+
+def test_at_the_interpreters_end_a_context_goes_with_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The module has lost its own names by then: none of them may be used."""
+    stage = object.__new__(_Stage)
+    stage._context = object()
+    for name in ("sys", "our_context", "mujoco", "np"):
+        monkeypatch.setattr(renderer, name, None)
+    stage.__del__(lambda: True)
+    stage._context = None
