@@ -7,7 +7,7 @@ import json
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from playlearn.evaluation.failure_modes import (
     uses_grasp,
 )
 from playlearn.evaluation.results import last_goals, summary
-from playlearn.evaluation.suite import SuiteConfig, load_suite
+from playlearn.evaluation.suite import SuiteConfig, prepared_suite
 from playlearn.evaluation.worker import EpisodeResult, Trajectory, env_of, lost, run_batch
 from playlearn.executor import Executor, Job, LocalExecutorConfig, LostError
 from playlearn.report.diagnosis import diagnosis_page, strip
@@ -81,9 +81,7 @@ def diagnose(
         PlaylearnError: the suite cannot be set up.
     """
     started = time.perf_counter()
-    given = {"episodes": episodes, "seed": seed}
-    config = load_suite(suite, [*overrides, *(f"--{k}={v}" for k, v in given.items() if v is not None)])
-    config = replace(config, kind=config.kind.prepare(run))
+    config = prepared_suite(suite, run, episodes, seed, overrides)
     policy_recipe = trained(run, goal, config)
     policy_recipe.check()
     expert_recipe = ExpertRecipe(expert or scripted)

@@ -3,7 +3,7 @@
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from playlearn.config.schema import nearest
 from playlearn.errors import PlaylearnError, UsageError
 from playlearn.evaluation.actor_recipes import ActorRecipe, ExpertRecipe, RandomRecipe, scripted, trained
 from playlearn.evaluation.results import by_policy, curve, last_goals, parquet, summary, to_film, to_show
-from playlearn.evaluation.suite import SuiteConfig, load_suite
+from playlearn.evaluation.suite import SuiteConfig, prepared_suite
 from playlearn.evaluation.worker import EpisodeResult, Trajectory, draw_trajectory, lost, run_batch
 from playlearn.executor import Executor, Job, LocalExecutorConfig, LostError
 from playlearn.report.page import Shown, page
@@ -67,9 +67,7 @@ def evaluate(
         PlaylearnError: the suite cannot be set up.
     """
     started = time.perf_counter()
-    given = {"episodes": episodes, "seed": seed}
-    config = load_suite(suite, [*overrides, *(f"--{k}={v}" for k, v in given.items() if v is not None)])
-    config = replace(config, kind=config.kind.prepare(run))
+    config = prepared_suite(suite, run, episodes, seed, overrides)
     expert_recipe = ExpertRecipe(expert or scripted)
     recipes = _recipes(config, run, encoder, policy, goal, expert_recipe, references=references)
     executor = LocalExecutorConfig(workers=workers).build()

@@ -1,7 +1,7 @@
 """A suite: a file that fixes start states, goals, tolerances and step budgets of an evaluation."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import draccus
@@ -75,7 +75,7 @@ class SuiteKind(draccus.ChoiceRegistry):
         Raises:
             PlaylearnError: data that the suite is made from is missing.
         """
-        raise NotImplementedError
+        return self
 
     def setup(
         self, environment: Environment, expert: Actor, episode: int, seed: int, max_steps: int, cameras: Sequence[str]
@@ -90,8 +90,8 @@ class SuiteKind(draccus.ChoiceRegistry):
         raise NotImplementedError
 
     def judge(self, environment: Environment, task: str) -> Judge:
-        """(start, achieved, goal) -> bool, each (G,): the success criterion of a task in this suite."""
-        raise NotImplementedError
+        """(start, achieved, goal) -> bool, each (G,): the success criterion in this suite; by default the task's."""
+        return environment.tasks[task].judge
 
 
 @dataclass(frozen=True)
@@ -148,6 +148,20 @@ class SuiteConfig:
 def load_suite(path: Path, overrides: Sequence[str] = ()) -> SuiteConfig:
     """The suite of a file; raises UsageError if the file is no valid suite."""
     return load_config(SuiteConfig, path, overrides)
+
+
+def prepared_suite(
+    path: Path, run: Path | None, episodes: int | None, seed: int | None, overrides: Sequence[str]
+) -> SuiteConfig:
+    """The suite of a file as it is evaluated: with these episodes and this seed, and completed from the run.
+
+    Raises:
+        UsageError: the file is no valid suite, or an override is wrong.
+        PlaylearnError: data that the suite is made from is missing.
+    """
+    given = {"episodes": episodes, "seed": seed}
+    suite = load_suite(path, [*overrides, *(f"--{k}={v}" for k, v in given.items() if v is not None)])
+    return replace(suite, kind=suite.kind.prepare(run))
 
 
 def derived_seed(*parts: int) -> int:

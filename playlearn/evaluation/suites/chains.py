@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Self
 
 from playlearn.episode import Array
 from playlearn.errors import PlaylearnError, UsageError
@@ -36,9 +34,6 @@ class ChainsConfig(SuiteKind):
     def __post_init__(self) -> None:
         if self.num_goals < 1:
             raise UsageError(f"kind.num_goals must be 1 or more, got {self.num_goals}")
-
-    def prepare(self, run: Path | None) -> Self:
-        return self
 
     def judge(self, environment: Environment, task: str) -> Judge:
         judge = environment.tasks[task].judge

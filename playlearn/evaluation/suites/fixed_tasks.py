@@ -2,14 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Self
 
 import numpy as np
 
 from playlearn.errors import UsageError
 from playlearn.evaluation.goal_generation import achieved_now, names_of
-from playlearn.evaluation.suite import EvalEpisode, Judge, SuiteKind, derived_seed, goal_from
+from playlearn.evaluation.suite import EvalEpisode, SuiteKind, derived_seed, goal_from
 from playlearn.rollout import Actor
 from playlearn.sim.environment import Environment
 
@@ -23,12 +21,6 @@ class FixedTasksConfig(SuiteKind):
     """
 
     tasks: tuple[str, ...] | None = None
-
-    def prepare(self, run: Path | None) -> Self:
-        return self
-
-    def judge(self, environment: Environment, task: str) -> Judge:
-        return environment.tasks[task].judge
 
     def setup(
         self, environment: Environment, expert: Actor, episode: int, seed: int, max_steps: int, cameras: Sequence[str]

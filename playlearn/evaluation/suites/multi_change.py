@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Self
 
 from playlearn.episode import Array
 from playlearn.errors import PlaylearnError, UsageError
@@ -36,9 +34,6 @@ class MultiChangeConfig(SuiteKind):
     def __post_init__(self) -> None:
         if not self.changes or min(self.changes) < 1:
             raise UsageError(f"kind.changes must be numbers of 1 or more, got {list(self.changes)}")
-
-    def prepare(self, run: Path | None) -> Self:
-        return self
 
     def judge(self, environment: Environment, task: str) -> Judge:
         return lambda _start, achieved, goal: environment.reached(achieved, goal)
