@@ -1,4 +1,7 @@
-"""Recording play: by a scripted play policy on all cores or by a person with a device; rendering its images later."""
+"""Recording play: by a scripted play policy on all cores or by a person with a device; rendering its images later.
+
+What is made of recorded play in a simulator, for `data` to read: `corrections`, `scenes`, `perceived`.
+"""
 
 from playlearn.collection.config import CollectConfig, episode_seed
 from playlearn.collection.job import collect, collect_one, play, record

@@ -26,10 +26,10 @@ from playlearn.dagger.gather import GatherContext
 from playlearn.dagger.results import evaluated, line, plot
 from playlearn.dagger.rollouts import Make, RolloutSpec, dagger_actor
 from playlearn.data.mixture import DatasetSource
+from playlearn.data.perceived import PerceivedConfig
 from playlearn.errors import PlaylearnError, UsageError
 from playlearn.evaluation import TrainedRecipe, evaluate, load_suite, scripted
 from playlearn.evaluation.suite import derived_seed, goal_from
-from playlearn.perceived import PerceivedConfig
 from playlearn.policies import Policy
 from playlearn.process_cache import cached_env
 from playlearn.store import open_store

@@ -219,7 +219,7 @@ class RobosuiteEnv:
         return np.stack([right / depth / half * size.height / size.width, -up / depth / half], axis=1)
 
     def displace(self, shift: Array, turn: Array) -> bool:
-        """See `playlearn.corrections.rollback.CorrectableEnv`."""
+        """See `playlearn.collection.corrections.rollback.CorrectableEnv`."""
         there = displace(self.model, self.data, self._site, self._arm_qpos, self._arm_qvel, shift, turn)
         return there and not self.touching()
 

@@ -8,13 +8,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from playlearn.config import RunFolder, load_config, to_dict
-from playlearn.corrections import CorrectionsConfig
-from playlearn.data import DataConfig
+from playlearn.data import CorrectionsConfig, DataConfig, PerceivedConfig, ScenesConfig
 from playlearn.data.mixture import DatasetSource
 from playlearn.errors import UsageError
-from playlearn.perceived import PerceivedConfig
 from playlearn.policies import PolicyConfig
-from playlearn.scenes import ScenesConfig
 from playlearn.store import StoreConfig
 
 # What may differ between a run and its resumption: how long it is, and what it logs.

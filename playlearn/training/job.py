@@ -1,6 +1,5 @@
 """Learn a policy from a store of play: the root that builds every part and hands it over."""
 
-import functools
 import json
 import math
 import sys
@@ -18,22 +17,18 @@ from torch import Tensor, nn
 
 from playlearn.batch import Batch
 from playlearn.config import atomic_write, git_revision, save_config, to_dict, versions
-from playlearn.corrections import Corrections, make_corrections
-from playlearn.data import AugmentedDataset, Part, PlayDataset, build_sources, mix_datasets, statistics
-from playlearn.data.split import val_mask
+from playlearn.data import statistics
 from playlearn.errors import NotLearnedError
 from playlearn.executor import interruption_deferred
-from playlearn.perceived import Perceived, make_perceived
 from playlearn.policies import Policy, PolicySpec
 from playlearn.policies.checkpoint import load_checkpoint, save_checkpoint
 from playlearn.policies.ema import averaged
 from playlearn.report.outcome import Outcome
 from playlearn.report.progress import Pace, Progress
-from playlearn.scenes import render_scenes, scene_sizes
 from playlearn.store import Store, open_store
 from playlearn.threads import limit
 from playlearn.training.config import TrainConfig, check_out, flattened, stored_threads
-from playlearn.training.examples import rendered_scenes, validation_batches, validation_scenes
+from playlearn.training.examples import RunExamples
 
 
 def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
@@ -59,9 +54,7 @@ def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
         run.load()
     elif run.accelerator.is_main_process:
         run.describe()
-    run.make_corrections()
-    run.render_scenes()
-    run.perceive()
+    run.examples.make(run.policy)
     limit(threads)  # the makers of these may have set others
     with interruption_deferred() as interrupted, Progress("train", 100.0, "%", 100 * run.progress()) as progress:
         run.loop(interrupted, progress)
@@ -75,28 +68,25 @@ class _Run:
     def __init__(self, config: TrainConfig, store: Store, out: Path) -> None:
         self.config, self.store, self.out = config, store, out
         self.checkpoint = out / "checkpoint" / "last.safetensors"
-        self.data = config.data.build(store, "train", config.seed)
-        self.own: Part = self.data  # what is shown of it
         self.accelerator = Accelerator(
             mixed_precision="bf16" if config.precision == "bf16" else "no",
             cpu=config.cpu,
             log_with=config.tracker,
             project_dir=str(out),
         )
-        self.val = validation_batches(config, store)
+        self.examples = RunExamples(config, store, out, self.accelerator)
+        self.data = self.examples.data
         changes = config.data.target == "next_settled_delta"
         self.spec = PolicySpec(
             state_names=store.spec.state_names,
             achieved_names=store.spec.achieved_names,
             action_names=store.spec.achieved_names if changes else store.spec.action_names,
             fps=store.spec.fps,
-            cameras={camera: (int(h), int(w)) for camera, (h, w) in self._cameras().items()},
+            cameras={camera: (int(h), int(w)) for camera, (h, w) in self.examples.cameras().items()},
             controller=store.meta(0).controller,
             predicts=config.data.target,
             bounded=bool(np.abs(self.data.action).max() <= 1),
         )
-        self.sources = build_sources(self.data, config.extra_datasets, config.seed)
-        self.extra: list[tuple[Part, float]] = [*self.sources]
         policy = self._initial_policy()
         policy.to(self.accelerator.device)
         learned = policy.freeze_except(config.trainable)
@@ -126,72 +116,16 @@ class _Run:
         policy.load_from(begun, config.init_from)
         return policy
 
-    def _cameras(self) -> Mapping[str, tuple[int, int]]:
-        """Camera -> (height, width) of the images to learn from."""
-        encoder, cameras = self.config.policy.encoder, self.store.cameras()
-        if self.config.scenes is None:
-            return cameras
-        return {**cameras, **scene_sizes(self.store, encoder.observation_cameras)}
-
-    def render_scenes(self) -> None:
-        """Render the scenes that the config asks for, and train on them."""
-        config, scenes = self.config, self.config.scenes
-        if scenes is None:
-            return
-        folder, out = scenes.folder or self.out / "scenes", val_mask(self.store, config.data.val_fraction)
-        if self.accelerator.is_main_process:
-            render_scenes(scenes, self.store, out, config.policy.encoder.observation_cameras, folder)
-        self.accelerator.wait_for_everyone()
-        numbers, actions = self.store.indices(), len(self.spec.action_names)
-        drawn = rendered_scenes(config, folder, numbers[~out], actions)
-        if scenes.fraction < 1:
-            self.extra = [(drawn, scenes.fraction), *self.extra]
-            return
-        self.own = drawn
-        if out.any():
-            self.val = validation_scenes(config, rendered_scenes(config, folder, numbers[out], actions))
-
-    def make_corrections(self) -> None:
-        """Make the corrections that the config asks for, and train on them."""
-        corrections = self.config.corrections
-        if corrections is None:
-            return
-        folder = corrections.folder or self.out / "corrections"
-        if self.accelerator.is_main_process:
-            make_corrections(corrections, self.store, self.data.episodes, self.config.data.cameras, folder)
-        self.accelerator.wait_for_everyone()
-        self.own = AugmentedDataset(self.data, Corrections(folder, self.data, corrections.fraction))
-
-    def perceive(self) -> None:
-        """Train on play as the config's image encoder perceives it."""
-        perceived = self.config.perceived
-        if perceived is None:
-            return
-        run = perceived.encoder
-        self.policy.behind(Policy.load(run / "policy"), run)  # raises where the two do not fit together
-        folder = perceived.folder or self.out / "perceived"
-
-        def augmented(dataset: PlayDataset, number: int) -> Part:
-            if self.accelerator.is_main_process:
-                make_perceived(perceived, dataset.store, folder / str(number))
-            self.accelerator.wait_for_everyone()
-            return AugmentedDataset(dataset, Perceived(folder / str(number), dataset))
-
-        self.own = augmented(self.data, 0)
-        self.extra = [(augmented(source, k), fraction) for k, (source, fraction) in enumerate(self.sources, 1)]
-        self.val = validation_batches(self.config, self.store, functools.partial(Perceived, folder / "0"))
-
     def loop(self, interrupted: threading.Event, progress: Progress) -> None:
         config, accelerator = self.config, self.accelerator
         if config.tracker:
             accelerator.init_trackers("playlearn", config=flattened(to_dict(config)))
         rank, ranks = accelerator.process_index, accelerator.num_processes
-        examples = mix_datasets(self.own, self.extra)
-        batches = cast(Generator[Batch], examples.batches(config.batch_size, self.step, rank, ranks))
+        batches = self.examples.mixed().batches(config.batch_size, self.step, rank, ranks)
         window = _Window()
-        if self.val and self.step == 0:
+        if self.examples.val and self.step == 0:
             progress.say(self.validate())
-        with closing(batches):
+        with closing(cast(Generator[Batch], batches)):
             while not self.finished():
                 began = time.monotonic()
                 window.add(self.update(next(batches)))
@@ -202,7 +136,7 @@ class _Run:
                 last = self.finished()
                 if self.step % config.log_every == 0 or last:
                     self.log("train", {**window.means(), "lr": self.optimizer.param_groups[0]["lr"]})
-                if self.val and (self.step % config.val_every == 0 or last):
+                if self.examples.val and (self.step % config.val_every == 0 or last):
                     progress.say(self.validate())
                 if self.step % config.checkpoint_every == 0 or last or interrupted.is_set():
                     self.save()
@@ -232,7 +166,7 @@ class _Run:
         policy = cast(Policy, self.ema.module)
         policy.eval()
         window = _Window()
-        for number, batch in enumerate(self.val):
+        for number, batch in enumerate(self.examples.val):
             generator = _generator(self.config.seed, number, -1)
             loss, metrics = policy.loss(batch.to(self.accelerator.device), generator)
             if policy.acting_learns:

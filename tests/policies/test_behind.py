@@ -5,13 +5,14 @@ from pathlib import Path
 import pytest
 import torch
 
+from playlearn.collection.scenes import render_scenes
 from playlearn.config import from_dict, save_config
 from playlearn.dagger import DaggerConfig, dagger
+from playlearn.data import ScenesConfig
 from playlearn.data.split import val_episodes
 from playlearn.errors import CheckpointError, UsageError
 from playlearn.evaluation import TrainedRecipe, evaluate, join_runs
 from playlearn.policies import Policy
-from playlearn.scenes import ScenesConfig, render_scenes
 from playlearn.store import NativeStore
 from playlearn.training import TrainConfig, train
 from tests.evaluation.parts import SUITE, play

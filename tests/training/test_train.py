@@ -18,7 +18,7 @@ import torch
 from safetensors.torch import load_file
 
 from playlearn.config import from_dict, load_config
-from playlearn.data import statistics
+from playlearn.data import PlayDataset, statistics
 from playlearn.errors import CheckpointError, NotLearnedError, StoreError, UsageError
 from playlearn.policies import Policy
 from playlearn.policies.normalize import pooled
@@ -233,7 +233,7 @@ def test_a_fresh_policy_that_learned_nothing_is_an_error_and_is_kept(
 def threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[int]]:
     """Those in force at each update, in the data's thread too; afterwards it is one again."""
     seen: list[int] = []
-    update, batch = module._Run.update, module.PlayDataset.batch
+    update, batch = module._Run.update, PlayDataset.batch
 
     def counted(run: Any, batch: Any) -> Any:
         seen.append(torch.get_num_threads())
@@ -245,7 +245,7 @@ def threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[int]]:
         return batch(data, *arguments)
 
     monkeypatch.setattr(module._Run, "update", counted)
-    monkeypatch.setattr(module.PlayDataset, "batch", read)
+    monkeypatch.setattr(PlayDataset, "batch", read)
     yield seen
     limit(1)
 

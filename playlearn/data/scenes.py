@@ -1,7 +1,12 @@
-"""Rendered scenes as training examples without actions: the same in the same epoch for any number of workers."""
+"""Images that a simulator rendered of many scenes, as training examples without actions: for an image encoder.
+
+The true state is privileged information: where each object is, and where in the image each camera sees it. They are
+rendered by `playlearn.collection.scenes`; the same ones come in the same epoch for any number of workers.
+"""
 
 import functools
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,15 +14,44 @@ import torch
 from numpy.typing import NDArray
 
 from playlearn.batch import Batch
-from playlearn.data import Indices, laid_end_to_end
 from playlearn.data.prefetch import prepared_ahead
+from playlearn.data.stream import Indices, laid_end_to_end
 from playlearn.episode import IMAGES, Array
-from playlearn.scenes.render import KEYPOINTS
+from playlearn.errors import UsageError
 from playlearn.store import episode_path
 from playlearn.store.tensors import map_tensors, read_header
 
+KEYPOINTS = "keypoints."  # before a camera's name: where it sees the objects
 _OPEN = 1024  # files mapped at once
 _SEED = 0x5CE4E5  # so that these orders are not those of the play
+
+
+@dataclass(frozen=True)
+class ScenesConfig:
+    """Scenes that the simulator renders from a store's recorded states, with the true state: privileged information.
+
+    per_episode: scenes of each episode, at random moments.
+    rearranged: fraction of them whose objects are placed anew, as a random start of the environment places them. The
+        robot stays as recorded; scenes of held-out episodes are never rearranged.
+    fraction: of the training examples, how many are scenes; at 1 the store needs no images of its own.
+    seed: of the moments and the rearrangements.
+    folder: where they are kept, for several runs to use; null for the run's own.
+    """
+
+    per_episode: int = 120
+    rearranged: float = 0.5
+    fraction: float = 1.0
+    seed: int = 0
+    folder: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Raises UsageError where a number is out of range."""
+        if self.per_episode < 1:
+            raise UsageError(f"scenes.per_episode must be at least 1, got {self.per_episode}")
+        if not 0 <= self.rearranged <= 1:
+            raise UsageError(f"scenes.rearranged is a fraction, 0 to 1, got {self.rearranged}")
+        if not 0 < self.fraction <= 1:
+            raise UsageError(f"scenes.fraction must lie above 0 and at most at 1, got {self.fraction}")
 
 
 class Scenes:

@@ -9,8 +9,6 @@ shifted cameras gave such labels (Pomerleau, 1989; Bojarski et al., 2016); for a
 states do.
 """
 
-from playlearn.corrections.config import CorrectionsConfig
-from playlearn.corrections.dataset import Corrections
-from playlearn.corrections.generate import make_corrections
+from playlearn.collection.corrections.generate import make_corrections
 
-__all__ = ["Corrections", "CorrectionsConfig", "make_corrections"]
+__all__ = ["make_corrections"]

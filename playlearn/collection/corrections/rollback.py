@@ -5,7 +5,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from playlearn.corrections.response import offset, undoing
+from playlearn.collection.corrections.response import offset, undoing
 from playlearn.episode import Array
 from playlearn.errors import SimulationDiverged
 from playlearn.sim import Environment

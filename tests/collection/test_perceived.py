@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import torch
 
+from playlearn.collection.perceived import make_perceived
 from playlearn.config import from_dict
 from playlearn.dagger import DaggerConfig, dagger
 from playlearn.data import AugmentedDataset, DataConfig
+from playlearn.data.perceived import Perceived, PerceivedConfig, nearest
 from playlearn.errors import CheckpointError, UsageError
-from playlearn.perceived import Perceived, PerceivedConfig, make_perceived
-from playlearn.perceived.vary import nearest
 from playlearn.policies import Policy
 from playlearn.store import NativeStore, episode_path
 from playlearn.store.tensors import map_tensors, read_header
@@ -100,7 +100,7 @@ def test_training_learns_from_it_and_validates_on_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Own play and further play alike, held-out play too; the numbers' scale stays that of the truth."""
-    monkeypatch.setattr("playlearn.training.job.make_perceived", functools.partial(make_perceived, workers=0))
+    monkeypatch.setattr("playlearn.collection.perceived.make_perceived", functools.partial(make_perceived, workers=0))
     more = [{"store": str(folder / "play"), "fraction": 0.5}]
     perceived = {"encoder": str(folder / "encoder"), "every": 10}
     fields = {"val_batches": 2, "val_every": 20, "extra_datasets": more}
@@ -119,7 +119,7 @@ def test_rollouts_behind_an_encoder_are_learned_as_it_perceives_them(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("playlearn.training.job.make_perceived", functools.partial(make_perceived, workers=0))
+    monkeypatch.setattr("playlearn.collection.perceived.make_perceived", functools.partial(make_perceived, workers=0))
     fields = {
         "rollout_suite": str(folder / "suite.yaml"),
         "goal": "image",

@@ -7,20 +7,19 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from playlearn.data.scenes import KEYPOINTS, ScenesConfig
 from playlearn.episode import IMAGES, Array
 from playlearn.episode_jobs import missing, run_jobs
 from playlearn.errors import UsageError
 from playlearn.executor import Job
 from playlearn.layout import ObjectLayout
 from playlearn.process_cache import cached_env_of, cached_note, cached_store
-from playlearn.scenes.config import ScenesConfig
 from playlearn.sim import Environment
 from playlearn.store import Store, episode_path
 from playlearn.store.folder import claim
 from playlearn.store.tensors import write_tensors
 
 NOTE = "scenes.json"
-KEYPOINTS = "keypoints."
 
 
 @runtime_checkable

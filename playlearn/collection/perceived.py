@@ -9,11 +9,11 @@ import numpy as np
 import torch
 
 from playlearn.batch import Inputs
+from playlearn.data.perceived import PerceivedConfig
 from playlearn.episode import Array, Observation
 from playlearn.episode_jobs import missing, run_jobs
 from playlearn.errors import CheckpointError
 from playlearn.executor import Job
-from playlearn.perceived.config import PerceivedConfig
 from playlearn.policies import Policy
 from playlearn.policies.policy import WEIGHTS
 from playlearn.process_cache import cached_env_of, cached_note, cached_store

@@ -1,23 +1,62 @@
-"""Corrected examples among the recorded ones, the same ones in the same epoch for any number of workers."""
+"""Displaced moments of play with the way back as label, mixed into the recorded examples of a dataset.
+
+They are made by `playlearn.collection.corrections`; the same ones come in the same epoch for any number of workers.
+"""
 
 import dataclasses
 import functools
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 
 from playlearn.batch import Batch
-from playlearn.data import Indices, PlayDataset, Recorded
+from playlearn.data.augmented import Recorded
+from playlearn.data.dataset import PlayDataset
+from playlearn.data.stream import Indices
 from playlearn.episode import IMAGES, Array
-from playlearn.errors import StoreError
+from playlearn.errors import StoreError, UsageError
 from playlearn.relabeling import counter_uniforms
 from playlearn.store import episode_path
 from playlearn.store.tensors import map_tensors, read_header
 
 _OPEN = 256  # files mapped at once
 _SEED = 0xC0FFEE  # so that these draws are not those of the goals
+
+
+@dataclass(frozen=True)
+class CorrectionsConfig:
+    """Displaced moments of play.
+
+    fraction: of the training examples, how many are corrected ones.
+    displacement: of the end effector, meters at most.
+    turn: of the end effector, radians at most.
+    per_episode: displaced moments of each episode, fewer where the end effector is rarely free.
+    steps: within how many the corrected labels lead back.
+    seed: of the moments and displacements.
+    folder: where they are kept, for several runs to use; null for the run's own.
+    """
+
+    fraction: float = 0.2
+    displacement: float = 0.03
+    turn: float = 0.2
+    per_episode: int = 20
+    steps: int = 8
+    seed: int = 0
+    folder: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Raises UsageError where a number is out of range."""
+        if not 0 < self.fraction <= 1:
+            raise UsageError(f"corrections.fraction must lie above 0 and at most at 1, got {self.fraction}")
+        for name in ("displacement", "turn"):
+            if getattr(self, name) < 0:
+                raise UsageError(f"corrections.{name} must not be below 0, got {getattr(self, name)}")
+        for name in ("per_episode", "steps"):
+            if getattr(self, name) < 1:
+                raise UsageError(f"corrections.{name} must be at least 1, got {getattr(self, name)}")
 
 
 class Corrections:

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from playlearn.corrections.config import CorrectionsConfig
-from playlearn.corrections.response import end_effector_response
-from playlearn.corrections.rollback import CorrectableEnv, way_back
+from playlearn.collection.corrections.response import end_effector_response
+from playlearn.collection.corrections.rollback import CorrectableEnv, way_back
+from playlearn.data.corrections import CorrectionsConfig
 from playlearn.episode import IMAGES, Array
 from playlearn.episode_jobs import missing, run_jobs
 from playlearn.errors import UsageError

@@ -9,10 +9,10 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from playlearn.collection.corrections import make_corrections
+from playlearn.collection.corrections.response import end_effector_response, undoing
 from playlearn.config import from_dict
-from playlearn.corrections import Corrections, CorrectionsConfig, make_corrections
-from playlearn.corrections.response import end_effector_response, undoing
-from playlearn.data import AugmentedDataset, DataConfig, PlayDataset
+from playlearn.data import AugmentedDataset, Corrections, CorrectionsConfig, DataConfig, PlayDataset
 from playlearn.episode import IMAGES
 from playlearn.errors import StoreError, UsageError
 from playlearn.relabeling import FutureConfig
@@ -188,7 +188,9 @@ def test_training_makes_corrections_once_and_learns_from_them(tmp_path: Path, mo
         "val_batches": 0,
         "cpu": True,
     }
-    monkeypatch.setattr("playlearn.training.job.make_corrections", functools.partial(make_corrections, workers=0))
+    monkeypatch.setattr(
+        "playlearn.collection.corrections.make_corrections", functools.partial(make_corrections, workers=0)
+    )
     train(from_dict(TrainConfig, fields), tmp_path / "run")
     made = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "shared" / "episodes").iterdir()}
     assert made

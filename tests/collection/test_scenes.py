@@ -7,15 +7,14 @@ import numpy as np
 import pytest
 import torch
 
+from playlearn.collection.scenes import render_scenes, render_scenes_of
 from playlearn.config import from_dict
-from playlearn.data import mix_datasets
+from playlearn.data import Scenes, ScenesConfig, mix_datasets
 from playlearn.data.split import val_episodes
 from playlearn.envs import PlayTableConfig, StackConfig
 from playlearn.envs.playtable.layout import BLOCK_NAMES, block
 from playlearn.errors import UsageError
 from playlearn.policies import Policy
-from playlearn.scenes import Scenes, ScenesConfig, render_scenes
-from playlearn.scenes.render import render_scenes_of
 from playlearn.store import NativeStore, open_store
 from playlearn.training import TrainConfig, train
 from tests.evaluation.parts import play

@@ -1,16 +1,46 @@
-"""A dataset's examples as an image encoder perceives them."""
+"""Play as an image encoder perceives it: a state policy that is to act behind that encoder learns from it.
+
+A policy that learned from true states acts on every difference between the current state and the goal. An encoder's
+estimates always differ a little, and by a lot for what is hidden, so behind an encoder such a policy moves the wrong
+object, or waits. The encoder's errors at some moments of each episode, rendered by the simulator, are applied to the
+moments around them and added to the recorded states; the labels stay those of the true state. The estimates are made
+by `playlearn.collection.perceived`.
+"""
 
 import dataclasses
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 
 from playlearn.batch import Batch
-from playlearn.data import Indices, PlayDataset, Recorded
+from playlearn.data.augmented import Recorded
+from playlearn.data.dataset import PlayDataset
+from playlearn.data.stream import Indices
 from playlearn.episode import Array
+from playlearn.errors import UsageError
 from playlearn.store import episode_path
 from playlearn.store.tensors import map_tensors, read_header
+
+
+@dataclass(frozen=True)
+class PerceivedConfig:
+    """Play as an image encoder perceives it.
+
+    encoder: a run whose image encoder estimates where objects are, in observations and goal images.
+    every: steps between two moments that are estimated; the errors there are applied to the moments around them.
+    folder: where the estimates are kept, for several runs to use; null for the run's own.
+    """
+
+    encoder: Path
+    every: int = 8
+    folder: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Raises UsageError where a number is out of range."""
+        if self.every < 1:
+            raise UsageError(f"perceived.every must be at least 1, got {self.every}")
 
 
 class Perceived:
