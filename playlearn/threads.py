@@ -61,7 +61,7 @@ def limit(threads: int = 1) -> None:
                 torch.set_num_interop_threads(1)
     if numba is not None and numba.config.NUMBA_NUM_THREADS > 1:  # as many as it was imported with; fewer can be used
         numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
-    for set_threads, _ in _openblas():
+    for set_threads, _ in _openblas(len(sys.modules)):
         set_threads(threads)
 
 
@@ -79,21 +79,23 @@ def in_force() -> dict[str, int]:
         import numba
 
         found["numba"] = numba.get_num_threads()
-    counts = [int(get_threads()) for _, get_threads in _openblas()]
+    counts = [int(get_threads()) for _, get_threads in _openblas(len(sys.modules))]
     return found | ({"openblas": max(counts)} if counts else {})
 
 
-def _openblas() -> Iterator[tuple[Callable[[int], Any], Callable[[], Any]]]:
-    """Of each OpenBLAS in this process, how its threads are set and asked for."""
+@functools.lru_cache(maxsize=1)
+def _openblas(_modules: int) -> list[tuple[Callable[[int], Any], Callable[[], Any]]]:
+    """Of each OpenBLAS in this process, how its threads are set and asked for.
+
+    _modules: how many are imported; while they are as many, no further library was loaded.
+    """
     if not _MAPS.exists():
-        return
-    # Thousands of lines, read for every job: only those of a file of such a name are parsed.
+        return []
+    # Thousands of lines: only those of a file of such a name are parsed.
     lines = _MAPS.read_text(encoding="utf-8", errors="replace").splitlines()
     files = {line.split(maxsplit=5)[5] for line in lines if "openblas" in line.rpartition("/")[2]}
-    for file in sorted(files):
-        found = _functions(file)
-        if found is not None:
-            yield found
+    found = (_functions(file) for file in sorted(files))
+    return [functions for functions in found if functions is not None]
 
 
 @functools.cache

@@ -111,6 +111,7 @@ BENCHMARKS: dict[str, Benchmark] = {
         "sim": "stepping",
         "threads": "loaded",
         "train": "training",
+        "workers": "spreading",
     }.items()
 }
 _PER_ENV = ("render", "sim")  # a process for each environment

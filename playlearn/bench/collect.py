@@ -18,15 +18,15 @@ CAMERAS = ("front", "wrist")
 
 
 def collecting(size: Size) -> Iterator[Figure]:
-    """PlayTable, with two cameras and with none, in one process; then two processes beside one."""
+    """PlayTable, with two cameras and with none, in one process."""
     for cameras in (CAMERAS, ()):
         pair = next(pairs(("playtable",), images=bool(cameras)))
-        config = _config(cameras, size)
+        config = collect_config(cameras, size)
         cameras_text = f"two cameras of {SIDE} px" if cameras else "no camera"
         measuring(f"collect, {cameras_text}")
         with tempfile.TemporaryDirectory() as folder:
             out = Path(folder) / "play"
-            collect_store(_config(cameras, size, episodes=1), out, workers=0)
+            collect_store(collect_config(cameras, size, episodes=1), out, workers=0)
             measured = rates(
                 {
                     "ours": partial(_ours, config, out),
@@ -42,11 +42,10 @@ def collecting(size: Size) -> Iterator[Figure]:
             "robosuite env.step, nothing stored",
             "stepping and rendering alone",
         )
-    measuring("collect, two workers")
-    yield _two_workers(size)
 
 
-def _config(cameras: Sequence[str], size: Size, episodes: int = 1) -> CollectConfig:
+def collect_config(cameras: Sequence[str], size: Size, episodes: int = 1) -> CollectConfig:
+    """What is collected here and in `workers`."""
     env = PlayTableConfig(cameras={name: CameraConfig(SIDE, SIDE) for name in CAMERAS})
     return CollectConfig(environment=env, cameras=tuple(cameras), episodes=episodes, steps=size.steps, seed=SEED)
 
@@ -74,19 +73,3 @@ def _parts(pair: Pair, cameras: Sequence[str], size: Size) -> tuple[int, float]:
             pair.ours.render(camera, SIDE, SIDE)
         seconds += time.perf_counter() - began
     return size.steps, seconds
-
-
-def _two_workers(size: Size) -> Figure:
-    """The whole command with images, start-up included; the peer is the same with one worker."""
-
-    def of(workers: int) -> tuple[int, float]:
-        config = _config(CAMERAS, size, episodes=4 * size.rounds)
-        with tempfile.TemporaryDirectory() as folder:
-            began = time.perf_counter()
-            collect_store(config, Path(folder) / "play", workers=workers)
-            return config.episodes * config.steps, time.perf_counter() - began
-
-    (steps, two), (_, one) = of(2), of(1)
-    return Figure.beside(
-        "collect, two workers", "steps/s", {"ours": steps / two, "peer": steps / one}, "one worker, the same command"
-    )

@@ -9,7 +9,10 @@ from playlearn.cli.verb import DONE, Verb, add_json
 
 def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "name", nargs="*", metavar="NAME", help="sim, render, collect, grow, train, threads, data (default: all)"
+        "name",
+        nargs="*",
+        metavar="NAME",
+        help="sim, render, collect, workers, grow, train, threads, data (default: all)",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="write compared images here")
     parser.add_argument("--quick", action="store_true", help="seconds instead of minutes; too noisy to quote")

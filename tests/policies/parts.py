@@ -9,7 +9,15 @@ import torch
 
 from playlearn.config import from_dict
 from playlearn.policies import EncoderConfig, HeadConfig, Policy, PolicyConfig, PolicySpec, TrunkConfig
-from playlearn.policies.heads import Head
+from playlearn.policies.heads import (
+    AutoregressiveConfig,
+    DiffusionConfig,
+    FastConfig,
+    FlowConfig,
+    Head,
+    LogisticConfig,
+    MixtureConfig,
+)
 
 torch.set_num_threads(1)
 
@@ -151,6 +159,26 @@ def take(batch: Examples, rows: slice) -> Examples:
 
 def generator(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
+
+
+# What learns two modes within a second, and is held closely to it in test_heads.py.
+MULTIMODAL = {
+    "diffusion": DiffusionConfig(width=64, blocks=2, train_steps=50, sample_steps=10, clip=1.2),
+    "diffusion of noise": DiffusionConfig(
+        width=64, blocks=2, train_steps=50, prediction="epsilon", sample_steps=10, clip=1.2
+    ),
+    "diffusion of v": DiffusionConfig(
+        width=64, blocks=2, train_steps=50, prediction="v_prediction", sample_steps=10, clip=1.2
+    ),
+    "flow": FlowConfig(width=64, blocks=2, sample_steps=20),
+    "mixture": MixtureConfig(components=3, hidden=32),
+    "logistic": LogisticConfig(components=3, bins=32, hidden=32),
+    "autoregressive": AutoregressiveConfig(bins=32, width=32, layers=1, label_smoothing_bins=0.0),
+    "fast": FastConfig(vocabulary=300, width=32, layers=1),
+    "autoregressive, per step": AutoregressiveConfig(
+        bins=32, order="step", width=32, layers=1, label_smoothing_bins=0.0
+    ),
+}
 
 
 def train_on_two_modes(

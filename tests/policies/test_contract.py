@@ -9,10 +9,11 @@ import torch
 
 from playlearn.config import from_dict
 from playlearn.errors import CheckpointError
-from playlearn.policies import Policy, PolicyConfig
+from playlearn.policies import HeadConfig, Policy, PolicyConfig
 from tests.policies.parts import (
     ENCODERS,
     HEADS,
+    MULTIMODAL,
     SPEC,
     TRUNKS,
     A,
@@ -33,6 +34,13 @@ KINDS = [
 ]
 # What 500 updates on one number a step take; a kind that is not named here is trained as `small` builds it.
 TWO_MODES = {"cvae": {"kl": 0.1, "warmup": 100}, "latent_plan": {"kl": 0.1}}
+
+
+def held_closer(head: str) -> bool:
+    """Whether test_heads.py holds such a head to two modes, and to more."""
+    return any(isinstance(config, HeadConfig.get_choice_class(head)) for config in MULTIMODAL.values())
+
+
 every_kind = pytest.mark.parametrize(("encoder", "trunk", "head"), KINDS)
 
 
@@ -106,7 +114,7 @@ def test_a_masked_action_gets_no_gradient(head: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("head", HEADS)
+@pytest.mark.parametrize("head", [head for head in HEADS if not held_closer(head)])
 def test_two_equally_good_chunks_are_both_sampled_and_not_their_mean_unless_the_head_is_unimodal(head: str) -> None:
     """Of the data half is +1 at all four steps, half -1; a sample is near a mode if no step is off by 0.5.
 

@@ -9,9 +9,6 @@ from playlearn.policies.heads import (
     AutoregressiveConfig,
     CVAEConfig,
     DeterministicConfig,
-    DiffusionConfig,
-    FastConfig,
-    FlowConfig,
     GaussianConfig,
     Guidance,
     Head,
@@ -23,7 +20,7 @@ from playlearn.policies.heads import (
     masked_mean,
 )
 from playlearn.policies.heads.guidance import GuidedRows
-from tests.policies.parts import examples, generator, policy, train_on_two_modes
+from tests.policies.parts import MULTIMODAL, examples, generator, policy, train_on_two_modes
 
 
 def test_masked_mean_counts_what_it_should() -> None:
@@ -52,25 +49,6 @@ def test_the_deterministic_head_finds_the_median_or_the_mean(loss: str, expected
     assert head.mode(torch.ones(1, 1)).item() == pytest.approx(expected, abs=0.03)
 
 
-MULTIMODAL = {
-    "diffusion": DiffusionConfig(width=64, blocks=2, train_steps=50, sample_steps=10, clip=1.2),
-    "diffusion of noise": DiffusionConfig(
-        width=64, blocks=2, train_steps=50, prediction="epsilon", sample_steps=10, clip=1.2
-    ),
-    "diffusion of v": DiffusionConfig(
-        width=64, blocks=2, train_steps=50, prediction="v_prediction", sample_steps=10, clip=1.2
-    ),
-    "flow": FlowConfig(width=64, blocks=2, sample_steps=20),
-    "mixture": MixtureConfig(components=3, hidden=32),
-    "logistic": LogisticConfig(components=3, bins=32, hidden=32),
-    "autoregressive": AutoregressiveConfig(bins=32, width=32, layers=1, label_smoothing_bins=0.0),
-    "fast": FastConfig(vocabulary=300, width=32, layers=1),
-    "autoregressive, per step": AutoregressiveConfig(
-        bins=32, order="step", width=32, layers=1, label_smoothing_bins=0.0
-    ),
-}
-
-
 WEIGHED = ("diffusion", "flow")  # whose mode weights are checked more closely
 
 
@@ -88,6 +66,7 @@ def test_a_multimodal_head_recovers_two_modes(name: str) -> None:
     The mean, 0.5, is what a regression would say. Of 400 samples 300 +- 9 (one standard deviation) are
     expected at +1; 60 allows for a network trained for a second.
     """
+    assert not MULTIMODAL[name].unimodal
     head = trained_with_decay(name) if name in WEIGHED else train_on_two_modes(MULTIMODAL[name], updates=400)
     with torch.no_grad():
         drawn = head.sample(torch.ones(400, 2), generator(2)).squeeze(-1)  # (400, 2)
