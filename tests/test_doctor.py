@@ -8,6 +8,7 @@ from playlearn import doctor
 from playlearn.doctor import Finding
 
 
+@pytest.mark.slow
 def test_every_missing_requirement_comes_with_the_command_that_fixes_it() -> None:
     findings = doctor.examine()
     assert {"Python", "packages", "cores", "memory", "disk", "chromium"} <= {finding.name for finding in findings}

@@ -1,7 +1,6 @@
 """What every registered encoder, trunk and head must do; a new kind is tested the day it is added."""
 
 import dataclasses
-import itertools
 from pathlib import Path
 
 import pytest
@@ -26,10 +25,12 @@ from tests.policies.parts import (
     train_on_two_modes,
 )
 
+IMAGE_ENCODERS = [kind for kind in ENCODERS if kind != "state"]
 # every head, every encoder with a head that draws noise and one that does not, every trunk: a head sees only features
 KINDS = [
     *(("state", "mlp", head) for head in HEADS),
-    *itertools.product([kind for kind in ENCODERS if kind != "state"], ["mlp"], ["deterministic", "diffusion"]),
+    *((encoder, "mlp", "deterministic") for encoder in IMAGE_ENCODERS),
+    *(pytest.param(encoder, "mlp", "diffusion", marks=pytest.mark.slow) for encoder in IMAGE_ENCODERS),
     *(("state", trunk, "deterministic") for trunk in TRUNKS if trunk != "mlp"),
 ]
 # What 500 updates on one number a step take; a kind that is not named here is trained as `small` builds it.

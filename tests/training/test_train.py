@@ -215,6 +215,7 @@ def test_without_held_out_play_nothing_is_said_of_it_and_training_is_the_same(
     assert all(torch.equal(validated[name], plain[name]) for name in validated)
 
 
+@pytest.mark.slow
 def test_a_fresh_policy_that_learned_nothing_is_an_error_and_is_kept(
     play: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -250,6 +251,7 @@ def threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[int]]:
     limit(1)
 
 
+@pytest.mark.slow
 def test_threads_are_chosen_once(play: Path, tmp_path: Path, threads: list[int]) -> None:
     """One by default, whatever torch had; another number is another run."""
     torch.set_num_threads(2)
