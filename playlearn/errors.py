@@ -33,5 +33,9 @@ class RenderError(PlaylearnError):
     """Images were asked for where no headless GL can be had."""
 
 
+class TrainingDiverged(PlaylearnError):
+    """A loss, a gradient or a weight is no longer finite; what was saved before stays as it is."""
+
+
 class NotLearnedError(PlaylearnError):
     """A training went through and left a policy that is no better than it began."""

@@ -4,6 +4,7 @@ from playlearn.data.augmented import Augmentation, AugmentedDataset, Recorded
 from playlearn.data.cameras import check_cameras
 from playlearn.data.corrections import Corrections, CorrectionsConfig
 from playlearn.data.dataset import DataConfig, PlayDataset
+from playlearn.data.finite import check_finite
 from playlearn.data.mixture import DatasetMixture, DatasetSource, Part, build_sources, mix_datasets
 from playlearn.data.perceived import Perceived, PerceivedConfig
 from playlearn.data.scenes import Scenes, ScenesConfig
@@ -29,6 +30,7 @@ __all__ = [
     "ScenesConfig",
     "build_sources",
     "check_cameras",
+    "check_finite",
     "laid_end_to_end",
     "mix_datasets",
     "statistics",

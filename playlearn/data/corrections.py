@@ -15,6 +15,7 @@ import torch
 from playlearn.batch import Batch
 from playlearn.data.augmented import Recorded
 from playlearn.data.dataset import PlayDataset
+from playlearn.data.finite import check_finite
 from playlearn.data.stream import Indices
 from playlearn.episode import IMAGES, Array
 from playlearn.errors import StoreError, UsageError
@@ -66,12 +67,16 @@ class Corrections:
         """fraction: see `CorrectionsConfig`. Only moments for which the dataset can draw a goal are used.
 
         Raises:
-            StoreError: a file is missing or damaged, or there is no such moment.
+            StoreError: a file is missing, damaged or holds a number that is not finite, or there is no such moment.
         """
         self.folder, self.fraction, self.seed = folder, fraction, dataset.seed
         self.cameras = dataset.config.cameras
         numbers = dataset.store.indices()[dataset.episodes]
         files = [_read(str(episode_path(folder, int(number)))) for number in numbers]
+        names = {"observation.state": dataset.store.spec.state_names, "action": dataset.store.spec.action_names}
+        for number, own in zip(numbers, files, strict=True):
+            for key, dimensions in names.items():
+                check_finite(own[key], dimensions, f"{episode_path(folder, int(number))}, {key}")
         counts = [len(file["t"]) for file in files]
         file = np.repeat(np.arange(len(files)), counts)  # (m,)
         row = np.concatenate([np.arange(count) for count in counts])

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from playlearn.batch import Batch
 from playlearn.data.cameras import check_cameras
+from playlearn.data.finite import check_finite
 from playlearn.data.split import val_mask
 from playlearn.data.stream import Examples, Indices
 from playlearn.episode import IMAGES, Array
@@ -86,7 +87,7 @@ class PlayDataset(Examples):
         """See `DataConfig`.
 
         Raises:
-            StoreError: the store holds no step from which a goal can be drawn.
+            StoreError: the store holds no step from which a goal can be drawn, or a number that is not finite.
             UsageError: a setting is out of range, or the store lacks a camera.
         """
         _check(config, split)
@@ -96,6 +97,7 @@ class PlayDataset(Examples):
         if len(self.episodes) == 0:
             raise StoreError(f"{store.name()} has no {split} episodes among its {len(store)}: collect more play")
         self.store, self.config, self.seed = store, config, seed
+        _check_finite(store, self.episodes)
         train = np.flatnonzero(~out).tolist()  # thresholds are measured on it for both splits, so that they agree
         self.table = RelabelIndex.of_store(store, config.settling, config.goal_names, self.episodes.tolist(), train)
         if config.target == "next_settled_delta" and len(self.table.change) == 0:
@@ -248,6 +250,20 @@ class PlayDataset(Examples):
         )
         weights = counts[kind.reshape(-1)] ** -float(self.config.balance)
         return np.asarray(np.cumsum(weights / weights.sum()), np.float64)
+
+
+def _check_finite(store: Store, episodes: Indices) -> None:
+    """Raises StoreError where a number that is learned from is not finite; names episode, array, row and dimension."""
+    names = {
+        "observation.state": store.spec.state_names,
+        "achieved": store.spec.achieved_names,
+        "action": store.spec.action_names,
+        "expert_action": store.spec.action_names,
+    }
+    numbers = store.indices()
+    for i in episodes.tolist():
+        for key, own in names.items():
+            check_finite(store.array(i, key), own, f"{store.name()}, episode {numbers[i]}, {key}")
 
 
 def _check(config: DataConfig, split: str) -> None:

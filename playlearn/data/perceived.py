@@ -17,6 +17,7 @@ import torch
 from playlearn.batch import Batch
 from playlearn.data.augmented import Recorded
 from playlearn.data.dataset import PlayDataset
+from playlearn.data.finite import check_finite
 from playlearn.data.stream import Indices
 from playlearn.episode import Array
 from playlearn.errors import UsageError
@@ -47,7 +48,7 @@ class Perceived:
     """What `make_perceived` left in a folder, as the augmentation of a dataset."""
 
     def __init__(self, folder: Path, dataset: PlayDataset) -> None:
-        """Raises StoreError: a file is missing or damaged."""
+        """Raises StoreError: a file is missing or damaged, or holds a number that is not finite."""
         errors: dict[str, list[Array]] = {"observed": [], "wanted": []}
         for position in dataset.episodes.tolist():
             true = dataset.store.array(position, "achieved")  # (T+1, G)
@@ -55,6 +56,7 @@ class Perceived:
             file = map_tensors(path, read_header(path).layout)
             near = nearest(np.asarray(file["t"]), len(true))
             for name, made in errors.items():
+                check_finite(file[name], dataset.store.spec.achieved_names, f"{path}, {name}")
                 made.append((file[name] - true[file["t"]])[near])
         self.dataset = dataset
         self.observed, self.wanted = map(np.concatenate, errors.values())  # (sum T+1, G), rows as in the dataset

@@ -16,6 +16,12 @@ from playlearn.errors import CheckpointError
 NOTE = "playlearn"
 
 
+def first_not_finite(module: nn.Module) -> str | None:
+    """The name of the first weight or buffer that is NaN or infinite; None where there is none."""
+    named = module.state_dict().items()
+    return next((name for name, value in named if not bool(torch.isfinite(value).all())), None)
+
+
 def save_checkpoint(
     path: Path, modules: Mapping[str, nn.Module], optimizer: torch.optim.Optimizer, note: Mapping[str, Any]
 ) -> None:
@@ -34,7 +40,7 @@ def load_checkpoint(path: Path, modules: Mapping[str, nn.Module], optimizer: tor
     """Restore what `save_checkpoint` was given; returns its note.
 
     Raises:
-        CheckpointError: the file is missing, torn, or of another network.
+        CheckpointError: the file is missing, torn, of another network, or its weights are not finite.
     """
     if not path.is_file():
         raise CheckpointError(f"there is no checkpoint {path}")
@@ -56,6 +62,13 @@ def load_checkpoint(path: Path, modules: Mapping[str, nn.Module], optimizer: tor
         optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
     except Exception as error:  # a torn file raises any of a dozen types
         raise CheckpointError(f"the checkpoint {path} cannot be read: {error}") from error
+    for prefix, module in modules.items():
+        wrong = first_not_finite(module)
+        if wrong is not None:
+            raise CheckpointError(
+                f"the checkpoint {path} is of a run that diverged ({prefix}.{wrong} is not finite): nothing can go on "
+                "from it; train again into another folder"
+            )
     return note
 
 

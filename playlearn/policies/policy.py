@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from playlearn.batch import Batch, Inputs, Statistics
 from playlearn.config import atomic_write, from_dict, to_dict
 from playlearn.errors import CheckpointError, PlaylearnError, UsageError
+from playlearn.policies.checkpoint import first_not_finite
 from playlearn.policies.encoders import EncoderConfig, StateConfig
 from playlearn.policies.heads import DeterministicConfig, Generators, Guidance, HeadConfig
 from playlearn.policies.normalize import Normalizer, pooled
@@ -282,7 +283,7 @@ class Policy(nn.Module):
         """The policy that `save` wrote there, ready to act.
 
         Raises:
-            CheckpointError: files are missing, broken, or of another version.
+            CheckpointError: files are missing, broken, or of another version, or the weights are not finite.
         """
         for name in (DESCRIPTION, WEIGHTS):
             if not (path / name).is_file():
@@ -299,6 +300,11 @@ class Policy(nn.Module):
             raise CheckpointError(f"the policy at {path} cannot be read: {error}") from error
         except Exception as error:  # a torn file shows itself as any of a dozen types
             raise CheckpointError(f"the policy at {path} cannot be read: {type(error).__name__}: {error}") from error
+        wrong = first_not_finite(policy)
+        if wrong is not None:
+            raise CheckpointError(
+                f"the policy at {path} is of a run that diverged ({wrong} is not finite): it cannot act; train again"
+            )
         return policy.to(device).eval()
 
     def _kept(self, dropout: float, batch: Batch, generator: torch.Generator) -> Tensor:

@@ -5,7 +5,7 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any, cast
@@ -18,17 +18,19 @@ from torch import Tensor, nn
 from playlearn.batch import Batch
 from playlearn.config import atomic_write, git_revision, save_config, to_dict, versions
 from playlearn.data import statistics
-from playlearn.errors import NotLearnedError
+from playlearn.errors import NotLearnedError, TrainingDiverged
 from playlearn.executor import interruption_deferred
 from playlearn.policies import Policy, PolicySpec
-from playlearn.policies.checkpoint import load_checkpoint, save_checkpoint
+from playlearn.policies.checkpoint import first_not_finite, load_checkpoint, save_checkpoint
 from playlearn.policies.ema import averaged
 from playlearn.report.outcome import Outcome
 from playlearn.report.progress import Pace, Progress
 from playlearn.store import Store, open_store
 from playlearn.threads import limit
 from playlearn.training.config import TrainConfig, check_out, flattened, stored_threads
+from playlearn.training.divergence import reason
 from playlearn.training.examples import RunExamples
+from playlearn.training.window import Window
 
 
 def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
@@ -39,9 +41,10 @@ def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
     The outcome is printed on stderr and kept in run.json, as `outcome`.
 
     Raises:
+        TrainingDiverged: a loss, a gradient or a weight is not finite; what was saved before is kept.
         NotLearnedError: a fresh policy's held-out loss is no better than before the first update; all is saved.
         UsageError: `out` is taken (or, with resume, is no run of this config); the store lacks a camera.
-        StoreError: the store is missing or too small.
+        StoreError: the store is missing or too small, or holds a number that is not finite.
         KeyboardInterrupt: on Ctrl-C, after the current update and a checkpoint.
     """
     config = config.resolved()
@@ -99,6 +102,7 @@ class _Run:
         self.model: nn.Module
         self.model, self.optimizer = self.accelerator.prepare(policy, optimizer)
         self.step, self.seconds = 0, 0.0
+        self.saved: int | None = None  # the step of the checkpoint
         self.paces = {"update": Pace(warmup=2), "evaluate": Pace(), "save": Pace()}
 
     def _initial_policy(self) -> Policy:
@@ -122,7 +126,7 @@ class _Run:
             accelerator.init_trackers("playlearn", config=flattened(to_dict(config)))
         rank, ranks = accelerator.process_index, accelerator.num_processes
         batches = self.examples.mixed().batches(config.batch_size, self.step, rank, ranks)
-        window = _Window()
+        window = Window()
         if self.examples.val and self.step == 0:
             progress.say(self.validate())
         with closing(cast(Generator[Batch], batches)):
@@ -155,17 +159,19 @@ class _Run:
             loss, metrics = self.model(batch.to(accelerator.device), generator, self.step)
         self.optimizer.zero_grad()
         accelerator.backward(loss)
-        norm = accelerator.clip_grad_norm_(self.model.parameters(), config.grad_clip)
+        loss, norm = loss.detach(), accelerator.clip_grad_norm_(self.model.parameters(), config.grad_clip)
+        if not bool(torch.isfinite(loss + norm)):  # before the step, so that no weight is touched
+            raise self.diverged(f"loss is {float(loss):g}, the norm of its gradient {float(norm):g}", [batch], made=1)
         self.optimizer.step()
         self.ema.update_parameters(self.policy)
-        return {"loss": loss.detach(), **metrics, "grad_norm": norm}
+        return {"loss": loss, **metrics, "grad_norm": norm}
 
     @torch.no_grad()
     def evaluate(self) -> dict[str, float]:
         """Metrics of the averaged weights on held-out play; action_error in units of the action, over the chunk."""
         policy = cast(Policy, self.ema.module)
         policy.eval()
-        window = _Window()
+        window = Window()
         for number, batch in enumerate(self.examples.val):
             generator = _generator(self.config.seed, number, -1)
             loss, metrics = policy.loss(batch.to(self.accelerator.device), generator)
@@ -178,7 +184,10 @@ class _Run:
     def validate(self) -> str:
         """Evaluate on held-out play and log it; returns the line to show."""
         began = time.monotonic()
-        line = self.log("val", self.evaluate())
+        metrics = self.evaluate()
+        if not math.isfinite(metrics["loss"]):
+            raise self.diverged(f"held-out loss is {metrics['loss']:g}", self.examples.val)
+        line = self.log("val", metrics)
         self.paces["evaluate"].add(time.monotonic() - began)
         return line
 
@@ -189,7 +198,7 @@ class _Run:
             fraction = max(fraction, self.seconds / 60 / self.config.max_minutes)
         return min(fraction, 1.0)
 
-    def pace(self, window: "_Window") -> str:
+    def pace(self, window: "Window") -> str:
         """What is shown beside the progress bar."""
         loss = f", loss {window.latest['loss']:.4g}" if "loss" in window.latest else ""
         return f"step {self.step}, {1 / max(self.paces['update'].seconds(), 1e-9):.1f} updates/s{loss}"
@@ -223,17 +232,32 @@ class _Run:
         return f"step {self.step}: " + " ".join(f"{name} {value:.4g}" for name, value in named.items())
 
     def save(self) -> None:
-        """The checkpoint, and the averaged policy beside it."""
+        """The checkpoint, and the averaged policy beside it; raises TrainingDiverged where a weight is not finite."""
         began = time.monotonic()
+        for module in self._modules.values():
+            wrong = first_not_finite(module)
+            if wrong is not None:
+                raise self.diverged(f"weight {wrong} is not finite", [])
         if self.accelerator.is_main_process:
             note = {"step": self.step, "seconds": self.seconds}
             save_checkpoint(self.checkpoint, self._modules, self.optimizer.optimizer, note)
             cast(Policy, self.ema.module).save(self.out / "policy")
+        self.saved = self.step
         self.paces["save"].add(time.monotonic() - began)
+
+    def diverged(self, what: str, batches: Sequence[Batch], made: int = 0) -> TrainingDiverged:
+        """batches: that it was found in. made: updates of this step that were tried."""
+        kept = (
+            "nothing was saved yet"
+            if self.saved is None
+            else f"checkpoint/ and policy/ stay those of step {self.saved}"
+        )
+        why = reason(self.config, self.spec, batches)
+        return TrainingDiverged(f"{self.out}: training diverged at step {self.step + made}: its {what}; {why}; {kept}")
 
     def load(self) -> None:
         note = load_checkpoint(self.checkpoint, self._modules, self.optimizer.optimizer)
-        self.step, self.seconds = note["step"], note["seconds"]
+        self.step, self.seconds, self.saved = note["step"], note["seconds"], note["step"]
         if self.accelerator.is_main_process and self._metrics.exists():
             lines = self._metrics.read_text(encoding="utf-8").splitlines(keepends=True)
             kept = [line for line in lines if line.endswith("\n") and json.loads(line)["step"] <= self.step]
@@ -278,26 +302,6 @@ class _Run:
     @property
     def _modules(self) -> dict[str, nn.Module]:
         return {"policy": self.policy, "ema": self.ema}
-
-
-class _Window:
-    """Running means of metrics, kept on the device until they are asked for."""
-
-    def __init__(self) -> None:
-        self.sums: dict[str, Tensor] = {}
-        self.count = 0
-        self.latest: dict[str, float] = {}
-
-    def add(self, metrics: Mapping[str, Tensor]) -> None:
-        for name, value in metrics.items():
-            self.sums[name] = self.sums[name] + value if name in self.sums else value
-        self.count += 1
-
-    def means(self) -> dict[str, float]:
-        """Since the last call."""
-        self.latest = {name: float(value) / self.count for name, value in self.sums.items()}
-        self.sums, self.count = {}, 0
-        return self.latest
 
 
 def _cosine(fraction: float) -> float:
