@@ -6,7 +6,7 @@ class PlaylearnError(Exception):
 
 
 class UsageError(PlaylearnError):
-    """A wrong command line or config, found before any work starts (exit code 2)."""
+    """A wrong command line or config, or what it names is not there; found before any work starts (exit code 2)."""
 
 
 class EpisodeError(PlaylearnError):
@@ -17,8 +17,16 @@ class StoreError(PlaylearnError):
     """A store that is missing, broken, locked by another writer, or without what was asked of it."""
 
 
+class MissingStoreError(StoreError, UsageError):
+    """No store, dataset or file of recordings is where one was named (exit code 2)."""
+
+
 class CheckpointError(PlaylearnError):
-    """A run folder that is missing, broken, or made for another environment or action space."""
+    """A run that is missing, broken, or made for another environment or action space."""
+
+
+class MissingRunError(CheckpointError, UsageError):
+    """No run or policy is where one was named (exit code 2)."""
 
 
 class ActionError(PlaylearnError):

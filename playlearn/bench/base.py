@@ -109,6 +109,7 @@ BENCHMARKS: dict[str, Benchmark] = {
         "grow": "growing",
         "render": "rendering",
         "sim": "stepping",
+        "start": "starting",
         "threads": "loaded",
         "train": "training",
         "workers": "spreading",

@@ -12,7 +12,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "name",
         nargs="*",
         metavar="NAME",
-        help="sim, render, collect, workers, grow, train, threads, data (default: all)",
+        help="sim, render, collect, workers, grow, train, threads, data, start (default: all)",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="write compared images here")
     parser.add_argument("--quick", action="store_true", help="seconds instead of minutes; too noisy to quote")

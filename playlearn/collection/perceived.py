@@ -12,7 +12,7 @@ from playlearn.batch import Inputs
 from playlearn.data.perceived import PerceivedConfig
 from playlearn.episode import Array, Observation
 from playlearn.episode_jobs import missing, run_jobs
-from playlearn.errors import CheckpointError
+from playlearn.errors import MissingRunError
 from playlearn.executor import Job
 from playlearn.policies import Policy
 from playlearn.policies.policy import WEIGHTS
@@ -101,5 +101,5 @@ def _inputs(seen: Sequence[Observation]) -> Inputs:
 @functools.cache
 def _encoder(run: str) -> Policy:
     if not Path(run).is_dir():
-        raise CheckpointError(f"there is no run at {run} whose image encoder could be used")
+        raise MissingRunError(f"there is no run at {run} whose image encoder could be used")
     return Policy.load(Path(run) / "policy")

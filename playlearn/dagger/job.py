@@ -27,7 +27,7 @@ from playlearn.dagger.results import evaluated, line, plot
 from playlearn.dagger.rollouts import Make, RolloutSpec, dagger_actor
 from playlearn.data.mixture import DatasetSource
 from playlearn.data.perceived import PerceivedConfig
-from playlearn.errors import PlaylearnError, UsageError
+from playlearn.errors import MissingRunError, PlaylearnError, UsageError
 from playlearn.evaluation import TrainedRecipe, evaluate, load_suite, scripted
 from playlearn.evaluation.suite import derived_seed, goal_from
 from playlearn.policies import Policy
@@ -81,7 +81,7 @@ class _Job:
         """Reads the configs of the run and the suites; nothing is simulated."""
         config, path = self.config, self.run / "config.yaml"
         if not path.is_file():
-            raise UsageError(f"there is no run at {self.run} (no config.yaml); make one with: playlearn train")
+            raise MissingRunError(f"there is no run at {self.run} (no config.yaml); make one with: playlearn train")
         self.training = load_config(TrainConfig, path)
         self.suite = load_suite(config.rollout_suite)
         self.suite = replace(self.suite, kind=self.suite.kind.prepare(None))

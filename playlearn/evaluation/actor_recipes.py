@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from playlearn.config import atomic_write, to_dict
-from playlearn.errors import CheckpointError, UsageError
+from playlearn.errors import CheckpointError, MissingRunError, UsageError
 from playlearn.evaluation.suite import SuiteConfig
 from playlearn.policies import Policy
 from playlearn.policies.execution import PolicyActor
@@ -116,9 +116,9 @@ class TrainedRecipe:
             UsageError: it predicts something else, or does not read goals of this modality.
         """
         if not self.run.is_dir():
-            raise CheckpointError(f"there is no run at {self.run}; make one with: playlearn train --out {self.run}")
+            raise MissingRunError(f"there is no run at {self.run}; make one with: playlearn train --out {self.run}")
         if self.encoder is not None and not self.encoder.is_dir():
-            raise CheckpointError(f"there is no run at {self.encoder} whose image encoder could be used")
+            raise MissingRunError(f"there is no run at {self.encoder} whose image encoder could be used")
         policy = self.policy()
         if policy.spec.predicts != self.predicts:
             raise UsageError(f"{self.run} {_WRONG_PREDICTION[self.predicts]}")

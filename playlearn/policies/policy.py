@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from playlearn.batch import Batch, Inputs, Statistics
 from playlearn.config import atomic_write, from_dict, to_dict
-from playlearn.errors import CheckpointError, PlaylearnError, UsageError
+from playlearn.errors import CheckpointError, MissingRunError, PlaylearnError, UsageError
 from playlearn.policies.checkpoint import first_not_finite
 from playlearn.policies.encoders import EncoderConfig, StateConfig
 from playlearn.policies.heads import DeterministicConfig, Generators, Guidance, HeadConfig
@@ -70,12 +70,13 @@ class PolicyConfig:
         fetch: whether weights may be downloaded, if the config asks for any.
 
         Raises:
-            UsageError: the config asks for a camera or goal dimension that `spec` does not have.
+            UsageError: the config asks for a camera or goal dimension that `spec` does not have, or leaves no goal.
         """
         encoder = self.encoder.complete() if fetch else self.encoder
         for camera in (*encoder.observation_cameras, *encoder.goal_cameras):
             if camera not in spec.cameras:
                 raise UsageError(f"the policy's encoder wants camera {camera!r}, there is {sorted(spec.cameras)}")
+        encoder.check_goal(spec)
         with torch.random.fork_rng(devices=[]):
             torch.random.manual_seed(seed)
             return Policy(replace(self, encoder=encoder), spec, statistics, fetch=fetch)
@@ -283,11 +284,12 @@ class Policy(nn.Module):
         """The policy that `save` wrote there, ready to act.
 
         Raises:
-            CheckpointError: files are missing, broken, or of another version, or the weights are not finite.
+            MissingRunError: files are missing.
+            CheckpointError: they are broken, or of another version, or the weights are not finite.
         """
         for name in (DESCRIPTION, WEIGHTS):
             if not (path / name).is_file():
-                raise CheckpointError(f"no policy at {path}: {name} is missing; `playlearn train` writes RUN/policy")
+                raise MissingRunError(f"no policy at {path}: {name} is missing; `playlearn train` writes RUN/policy")
         try:
             description = json.loads((path / DESCRIPTION).read_text())
             if description.get("format") != FORMAT:

@@ -89,24 +89,26 @@ class PolicySpec:
                     f"{tuple(self.cameras[camera])}: set the environment's cameras to that size"
                 )
 
-    def goal_dimensions(self, patterns: Sequence[str]) -> list[int]:
-        """The dimensions of `achieved` that a goal covers.
 
-        Raises:
-            UsageError: a pattern matches no name, or no dimension is left.
-        """
-        chosen = ObjectLayout(self.achieved_names).select(patterns)
-        if chosen:
-            return chosen
-        if self.achieved_names:
-            raise UsageError(
-                f"encoder.goal_names is {list(patterns)}: the policy is left without a goal; name some of "
-                f"{', '.join(self.achieved_names)}"
-            )
+def goal_dimensions(achieved_names: Sequence[str], patterns: Sequence[str], where: str = "this play") -> list[int]:
+    """The dimensions of `achieved` that a goal state covers. where: whose they are, for messages.
+
+    Raises:
+        UsageError: a pattern matches no name, or no dimension is left.
+    """
+    chosen = ObjectLayout(achieved_names).select(patterns)
+    if chosen:
+        return chosen
+    robot = "let it be the robot's own pose (`policy.encoder.goal_proprio: true`, of `type: state`)"
+    if achieved_names:
         raise UsageError(
-            "encoder: a goal that is a state needs `achieved`, and this play records none: the policy is "
-            "left without a goal; choose an encoder that reads goal images (goal: image)"
+            f"encoder.goal_names is {list(patterns)}: the policy is left without a goal; name some of "
+            f"{', '.join(achieved_names)}, or {robot}"
         )
+    raise UsageError(
+        "encoder: a goal that is a state needs `achieved` (objects; LeRobot's `observation.environment_state`), and "
+        f"{where} records none: the policy is left without a goal; {robot}, or read goal images (`type: cnn`)"
+    )
 
 
 def _difference(what: str, mine: tuple[str, ...], theirs: tuple[str, ...]) -> str:

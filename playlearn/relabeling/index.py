@@ -110,8 +110,8 @@ class RelabelIndex:
     ) -> Self:
         """The index of a store's episodes, numbered by their place in `episodes` (None: all of them).
 
-        goal_names: patterns of the achieved dimensions in which to look for change and rest; not read where moments are
-            read from the robot.
+        goal_names: patterns of the achieved dimensions in which to look for change and rest; where they choose none,
+            moments are read from the robot.
         learned: the episodes on which thresholds of null are measured (None: all).
 
         Raises:
@@ -123,13 +123,13 @@ class RelabelIndex:
         def rows(of: Sequence[int], key: str) -> Iterator[Array]:
             return (store.array(int(i), key) for i in of)
 
-        if settling.source == "robot" or not spec.achieved_names:
+        chosen = ObjectLayout(spec.achieved_names).select(goal_names)
+        if settling.source == "robot" or not chosen:
             reader = RobotReader.measured(list(rows(learned, STATE)), spec.state_names, spec.fps, settling.robot)
             states = list(rows(episodes, STATE))
             return cls._of(
                 [len(state) - 1 for state in states], [reader(state) for state in states], NAMES, spec.fps, NONE
             )
-        chosen = ObjectLayout(spec.achieved_names).select(goal_names)
         names = [spec.achieved_names[k] for k in chosen]
         settling = settling.measured((one[:, chosen] for one in rows(learned, ACHIEVED)), names, spec.fps)
         return cls.build([one[:, chosen] for one in rows(episodes, ACHIEVED)], names, spec.fps, settling)

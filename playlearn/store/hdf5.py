@@ -11,7 +11,7 @@ import numpy as np
 
 from playlearn.config import nearest
 from playlearn.episode import Array, Episode
-from playlearn.errors import EpisodeError, StoreError, UsageError
+from playlearn.errors import EpisodeError, MissingStoreError, StoreError, UsageError
 
 _DEMO = re.compile(r"demo_(\d+)")
 
@@ -35,7 +35,7 @@ def open_hdf5(path: Path) -> Iterator[Any]:
     """
     h5py = import_h5py()
     if not path.is_file():
-        raise StoreError(f"there is no file {path}")
+        raise MissingStoreError(f"there is no file {path}")
     try:
         file = h5py.File(path, "r")
     except OSError as error:

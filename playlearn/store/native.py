@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from playlearn.config import atomic_write
 from playlearn.episode import Array, Episode, EpisodeMeta
-from playlearn.errors import EpisodeError, StoreError
+from playlearn.errors import EpisodeError, MissingStoreError, StoreError
 from playlearn.store.base import StoreConfig, StoreSpec, from_json, summary, to_json, with_images
 from playlearn.store.folder import check_free, episode_path, foreign_files, indices, locked, make_folder, sweep
 from playlearn.store.mmap_cache import MmapCache
@@ -269,9 +269,9 @@ def _meta(path: Path) -> tuple[EpisodeMeta, Layout]:
 def _read_spec(folder: Path) -> StoreSpec:
     path = folder / "store.json"
     if not folder.is_dir():
-        raise StoreError(f"there is no store at {folder}: make one with `playlearn collect --out {folder}`")
+        raise MissingStoreError(f"there is no store at {folder}: make one with `playlearn collect --out {folder}`")
     if not path.exists():
-        raise StoreError(
+        raise MissingStoreError(
             f"{folder} is not a store (no store.json in it): give the folder that `playlearn collect` wrote"
         )
     try:

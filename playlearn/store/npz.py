@@ -10,7 +10,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from playlearn.episode import Array
-from playlearn.errors import StoreError
+from playlearn.errors import MissingStoreError, StoreError
 
 
 class Rows:
@@ -85,7 +85,7 @@ def members(path: Path) -> list[str]:
         with zipfile.ZipFile(path) as archive:
             return [name.removesuffix(".npy") for name in archive.namelist()]
     except FileNotFoundError as error:
-        raise StoreError(f"there is no file {path}") from error
+        raise MissingStoreError(f"there is no file {path}") from error
     except (OSError, zipfile.BadZipFile) as error:
         raise StoreError(f"{path} is not an .npz file, or is incomplete ({error}): fetch it again") from error
 

@@ -43,7 +43,7 @@ def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
     Raises:
         TrainingDiverged: a loss, a gradient or a weight is not finite; what was saved before is kept.
         NotLearnedError: a fresh policy's held-out loss is no better than before the first update; all is saved.
-        UsageError: `out` is taken (or, with resume, is no run of this config); the store lacks a camera.
+        UsageError: `out` is taken (or, with resume, is no run of this config); the store lacks a camera, or a goal.
         StoreError: the store is missing or too small, or holds a number that is not finite.
         KeyboardInterrupt: on Ctrl-C, after the current update and a checkpoint.
     """
@@ -52,6 +52,7 @@ def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
     threads = stored_threads(config, out, resume=resume)
     limit(threads)
     store = open_store(config.store)
+    config.policy.encoder.check_goal(store.spec, store.name())  # before anything slow
     run = _Run(config, store, out)
     if resume and run.checkpoint.is_file():
         run.load()

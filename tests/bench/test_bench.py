@@ -26,7 +26,7 @@ from tests.bench.rows import breaks, two_rows
 from tests.fakes import PointConfig, PointPlayPolicy
 
 SAMPLE = Path(__file__).parents[2] / "datasets" / "sample"
-SLOW = ("collect", "data", "render", "threads", "train", "workers")
+SLOW = ("collect", "data", "render", "start", "threads", "train", "workers")
 APART = (
     "collect",
     "render",

@@ -94,8 +94,8 @@ def test_wrong_usage_is_code_2_and_says_what(
     assert "Traceback" not in errors
 
 
-def test_a_missing_store_is_code_1_and_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["info", str(tmp_path / "nosuch")]) == 1
+def test_a_missing_store_is_code_2_and_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["info", str(tmp_path / "nosuch")]) == 2
     errors = capsys.readouterr().err
     assert "nosuch" in errors
     assert "Traceback" not in errors

@@ -100,6 +100,27 @@ def test_a_goal_of_the_arm_is_read_where_it_was_asked_for() -> None:
         assert torch.equal(made.act(elsewhere, generator(), guidance=0.0), forgot)
 
 
+def test_a_goal_is_the_robots_own_pose_alone_where_there_are_no_objects_or_none_is_wanted() -> None:
+    """Nothing is read of `goal_achieved`; forgotten is only the pose."""
+    batch = examples()
+    bare = dataclasses.replace(batch, achieved=batch.achieved[..., :0], goal_achieved=batch.goal_achieved[:, :0])
+    config, other = policy(encoder_options={"goal_proprio": True}).config, examples(seed=3)
+    unwanted = policy(encoder_options={"goal_proprio": True, "goal_names": []}).eval()
+    robot_only = config.build(dataclasses.replace(SPEC, achieved_names=()), None, seed=0).eval()
+    for made, own in ((unwanted, batch), (robot_only, bare)):
+        plain = made.act(own, generator())
+        assert not torch.equal(made.act(dataclasses.replace(own, goal_proprio=other.goal_proprio), generator()), plain)
+        forgot = made.act(own, generator(), guidance=0.0)
+        assert not torch.equal(forgot, plain)
+    assert torch.equal(unwanted.act(other_state(batch), generator()), unwanted.act(batch, generator()))
+
+
+def test_images_are_supervised_with_what_is_recorded() -> None:
+    made = policy("cnn", encoder_options={"state_supervision": 1.0}).config
+    with pytest.raises(UsageError, match=r"state_supervision: this play records no objects .* leave it at 0"):
+        made.build(dataclasses.replace(SPEC, achieved_names=()), None, seed=0)
+
+
 def test_an_actor_gives_a_policy_the_configured_kind_of_goal() -> None:
     frames = {camera: np.zeros((*size, 3), np.uint8) for camera, size in SPEC.cameras.items()}
     whole = Goal(np.zeros(G, np.float32), frames, np.zeros(S, np.float32))

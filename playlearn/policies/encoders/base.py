@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from playlearn.batch import Inputs
-from playlearn.policies.spec import PolicySpec
+from playlearn.policies.spec import Named, PolicySpec, goal_dimensions
 
 Modality = Literal["state", "image"]
 
@@ -42,6 +42,16 @@ class EncoderConfig(draccus.ChoiceRegistry):
     def uses_goal_proprio(self) -> bool:
         """Whether a goal must hold the robot's own state."""
         return False
+
+    @property
+    def needs_achieved(self) -> bool:
+        """Whether `achieved` must have dimensions that a goal covers."""
+        return "state" in self.goals
+
+    def check_goal(self, spec: Named, where: str = "this play") -> None:
+        """Raises UsageError where there is no goal to reach in such play. where: its store, for the message."""
+        if self.needs_achieved:
+            goal_dimensions(spec.achieved_names, self.goal_names, where)
 
     def complete(self) -> "EncoderConfig":
         """The same with everything that building needs, so that a saved policy is built without network access."""

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor, nn
 
 from playlearn.policies.encoders.objects import mlp
-from playlearn.policies.spec import PolicySpec
+from playlearn.policies.spec import PolicySpec, goal_dimensions
 
 
 class GoalStateEncoder(nn.Module):
@@ -12,7 +12,9 @@ class GoalStateEncoder(nn.Module):
 
     def __init__(self, spec: PolicySpec, goal_names: tuple[str, ...], hidden: int, width: int) -> None:
         super().__init__()
-        self.register_buffer("dimensions", torch.tensor(spec.goal_dimensions(goal_names)), persistent=False)
+        self.register_buffer(
+            "dimensions", torch.tensor(goal_dimensions(spec.achieved_names, goal_names)), persistent=False
+        )
         self.net = mlp(len(self.get_buffer("dimensions")), hidden, width)
 
     def forward(self, goal: Tensor) -> Tensor:

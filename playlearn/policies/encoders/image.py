@@ -13,7 +13,7 @@ from playlearn.policies.encoders.base import Encoder, Tokens
 from playlearn.policies.encoders.cameras import CamerasConfig, pixels, random_shift
 from playlearn.policies.encoders.goal_state import GoalStateEncoder
 from playlearn.policies.encoders.objects import ObjectTokens, mlp
-from playlearn.policies.spec import PolicySpec
+from playlearn.policies.spec import Named, PolicySpec
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,18 @@ class ImageConfig(CamerasConfig):
     feed_cameras: tuple[str, ...] | None = None
     detach_estimate: bool = True
     linear_estimate: bool = False
+
+    @property
+    def needs_achieved(self) -> bool:
+        return "state" in self.goals or self.use_estimated_state
+
+    def check_goal(self, spec: Named, where: str = "this play") -> None:
+        if self.state_supervision > 0 and not spec.achieved_names:
+            raise UsageError(
+                f"encoder.state_supervision: {where} records no objects (`achieved`) that images could be supervised "
+                "with; leave it at 0"
+            )
+        super().check_goal(spec, where)
 
     def backbone(self, channels: int, size: tuple[int, int], *, fetch: bool) -> nn.Module:
         """(B, channels, h, w) in [-1, 1] -> (B, features)."""

@@ -29,8 +29,8 @@ class ObjectTokens(nn.Module):
         self, spec: PolicySpec, goal_names: tuple[str, ...], hidden: int, width: int, *, arm: bool = False
     ) -> None:
         super().__init__()
-        chosen = set(spec.goal_dimensions(goal_names))
         layout = ObjectLayout(spec.achieved_names)
+        chosen = set(layout.select(goal_names))
         objects = layout.objects().values()
         kinds: dict[tuple[str, ...], list[list[int]]] = {}
         for members in objects:

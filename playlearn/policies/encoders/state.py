@@ -17,7 +17,8 @@ class StateConfig(EncoderConfig):
     """One token an object, one for the robot.
 
     hidden: units of the two-layer networks that make a token.
-    goal_proprio: whether a goal also holds the robot's own state.
+    goal_proprio: whether a goal also holds the robot's own state. Where `achieved` is empty, or `goal_names` is, a
+        goal is that state alone.
     """
 
     hidden: int = 256
@@ -30,6 +31,10 @@ class StateConfig(EncoderConfig):
     @property
     def uses_goal_proprio(self) -> bool:
         return self.goal_proprio
+
+    @property
+    def needs_achieved(self) -> bool:
+        return not self.goal_proprio
 
     def build(self, spec: PolicySpec, width: int, *, fetch: bool = True) -> "StateEncoder":
         return StateEncoder(self, spec, width)

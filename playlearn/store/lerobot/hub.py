@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from playlearn.errors import StoreError
+from playlearn.errors import MissingStoreError, StoreError
 from playlearn.store.lerobot.metadata import is_lerobot
 
 TAG = "v3.0"  # tag of datasets of this version on the Hub
@@ -15,7 +15,8 @@ def find_dataset(name: str, revision: str | None = None, *, with_videos: bool = 
     revision: of the dataset on the Hub (None: the tag of the format's version).
 
     Raises:
-        StoreError: there is no such dataset, or the Hub cannot be reached.
+        MissingStoreError: there is no such dataset.
+        StoreError: the Hub cannot be reached.
     """
     home = Path(os.environ.get("HF_HOME") or Path.home() / ".cache" / "huggingface")
     local = Path(os.environ.get("HF_LEROBOT_HOME") or home / "lerobot") / name
@@ -44,11 +45,11 @@ def _download(name: str, revision: str | None, local: Path, with_videos: bool) -
                 raise
             return Path(snapshot_download(name, repo_type="dataset", ignore_patterns=ignored))
     except HFValidationError as error:
-        raise StoreError(f"{name!r} is no name of a dataset on the Hub: it is `user/name`") from error
+        raise MissingStoreError(f"{name!r} is no name of a dataset on the Hub: it is `user/name`") from error
     except RevisionNotFoundError as error:
-        raise StoreError(f"the dataset {name} on the Hub has no revision {revision!r}") from error
+        raise MissingStoreError(f"the dataset {name} on the Hub has no revision {revision!r}") from error
     except RepositoryNotFoundError as error:
-        raise StoreError(
+        raise MissingStoreError(
             f"there is no dataset {name} on the Hub, nor at {local}: check the name; a private one: `hf auth login`"
         ) from error
     except (LocalEntryNotFoundError, OfflineModeIsEnabled, HfHubHTTPError, OSError) as error:

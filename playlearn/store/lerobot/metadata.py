@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from playlearn.episode import IMAGES
-from playlearn.errors import StoreError
+from playlearn.errors import MissingStoreError, StoreError
 
 INFO = "meta/info.json"
 TASKS = "meta/tasks.parquet"
@@ -111,7 +111,9 @@ def load_metadata(root: Path) -> DatasetMetadata:
         StoreError: no dataset is there, it is of another version, a file of `meta/` is missing, broken or a pickle.
     """
     if not is_lerobot(root):
-        raise StoreError(f"there is no LeRobot dataset at {root} (no {INFO}): give the folder that holds `meta/`")
+        raise MissingStoreError(
+            f"there is no LeRobot dataset at {root} (no {INFO}): give the folder that holds `meta/`"
+        )
     for path in root.rglob("*"):
         if path.suffix in PICKLES:
             raise StoreError(f"{path} is a pickle, which can run code when it is read: remove it, no dataset needs one")
