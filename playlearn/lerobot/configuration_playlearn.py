@@ -15,11 +15,12 @@ from lerobot.optim import AdamWConfig
 from playlearn.config import from_dict, load_config
 from playlearn.episode import IMAGES
 from playlearn.errors import UsageError
+from playlearn.layout import ObjectLayout
+from playlearn.lerobot.goals import GOAL_IMAGES, GOAL_PROPRIO, GOAL_STATE
 from playlearn.policies import PolicyConfig, PolicySpec
 from playlearn.training import TrainConfig
 
-STATE, ACHIEVED, GOAL = "observation.state", "observation.environment_state", "observation.goal.state"
-GOAL_IMAGES = IMAGES + "goal_"
+STATE, ACHIEVED = "observation.state", "observation.environment_state"
 
 
 @PreTrainedConfig.register_subclass("playlearn")
@@ -61,7 +62,8 @@ class PlaylearnConfig(PreTrainedConfig):  # type: ignore[misc]
 
     def validate_features(self) -> None:
         """Raises UsageError if there is no goal among the inputs."""
-        if not any(key == GOAL or key.startswith(GOAL_IMAGES) for key in self.input_features or {}):
+        goals = (GOAL_STATE, GOAL_PROPRIO, GOAL_IMAGES)
+        if not any(key.startswith(goals) for key in self.input_features or {}):
             raise UsageError(
                 "this dataset has no goals: write it with `playlearn export lerobot STORE OUT --goals`, or train with "
                 "`playlearn train`, which samples goals while training (`store: {type: lerobot, root: ...}`)"
@@ -92,7 +94,11 @@ def features(spec: PolicySpec, policy: PolicyConfig) -> tuple[dict[str, PolicyFe
     state, goal, encoder = len(spec.state_names), len(spec.achieved_names), policy.encoder
     features: dict[str, Any] = {STATE: (FeatureType.STATE, (state,))}
     if "state" in encoder.goals and goal:
-        features |= {ACHIEVED: (FeatureType.ENV, (2 * goal,)), GOAL: (FeatureType.STATE, (goal,))}
+        features[ACHIEVED] = (FeatureType.ENV, (2 * goal,))
+        if ObjectLayout(spec.achieved_names).select(encoder.goal_names):
+            features[GOAL_STATE] = (FeatureType.STATE, (goal,))
+    if encoder.uses_goal_proprio:
+        features[GOAL_PROPRIO] = (FeatureType.STATE, (state,))
     for prefix, cameras in ((IMAGES, encoder.observation_cameras), (GOAL_IMAGES, encoder.goal_cameras)):
         features |= {prefix + camera: (FeatureType.VISUAL, (3, *spec.cameras[camera])) for camera in cameras}
     inputs = {key: PolicyFeature(type=kind, shape=shape) for key, (kind, shape) in features.items()}

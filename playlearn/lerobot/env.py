@@ -1,7 +1,7 @@
 """Our environments under LeRobot's own commands: `lerobot-eval --env.type=playlearn --env.suite=eval/suites/NAME.yaml`.
 
 Episodes are those of a suite: seed n sets up episode n, the same as in `playlearn eval`. The goal is observed as one
-more camera, `goal_<camera>`, and as a state.
+more camera, `goal_<camera>`, and as states, of the objects and of the robot.
 """
 
 from collections.abc import Callable, Sequence
@@ -59,14 +59,14 @@ class PlaylearnEnvConfig(EnvConfig):  # type: ignore[misc]
         self.features = {"action": PolicyFeature(FeatureType.ACTION, env.action_space.shape or ())}
         self.features_map = {"action": "action"}
         numbers = {"agent_pos": "observation.state", "environment_state": "observation.environment_state"}
-        kinds = {"agent_pos": FeatureType.STATE, "environment_state": FeatureType.ENV, "goal.state": FeatureType.STATE}
         for key, space in env.observation_spaces.items():
             if isinstance(space, spaces.Dict):
                 for camera, box in space.items():
                     self.features[f"pixels/{camera}"] = PolicyFeature(FeatureType.VISUAL, box.shape)
                     self.features_map[f"pixels/{camera}"] = IMAGES + camera
             else:
-                self.features[key] = PolicyFeature(kinds[key], space.shape)
+                kind = FeatureType.ENV if key == "environment_state" else FeatureType.STATE
+                self.features[key] = PolicyFeature(kind, space.shape)
                 self.features_map[key] = numbers.get(key, f"observation.{key}")
         env.close()
 
@@ -89,7 +89,8 @@ class GoalEnv(gym.Env[dict[str, Any], Array]):
     """A suite's episodes as a gymnasium environment; actions (A,) in [-1, 1].
 
     Observations: pixels {camera, goal_camera: (h, w, 3) uint8}, agent_pos (S,), environment_state (2 G,) achieved goal
-    and goal, goal.state (G,). Success, as the suite defines it, ends an episode with a reward of 1.
+    and goal, goal.state (G,), goal.proprio (S,) the robot's own state in the goal. Success, as the suite defines it,
+    ends an episode with a reward of 1.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012 - as gymnasium declares it
@@ -116,6 +117,7 @@ class GoalEnv(gym.Env[dict[str, Any], Array]):
             "agent_pos": len(observed.state),
             "environment_state": 2 * len(observed.achieved),
             "goal.state": len(observed.achieved),
+            "goal.proprio": len(observed.state),
         }
         boxes: dict[str, spaces.Space[Any]] = {
             key: spaces.Box(-LIMIT, LIMIT, (n,), np.float32) for key, n in numbers.items()
@@ -147,6 +149,8 @@ class GoalEnv(gym.Env[dict[str, Any], Array]):
         self._next = number + 1
         suite, cameras = self.suite, self.env.spec.cameras
         self._eval_episode = self._kind.setup(self.env, self._expert, number, suite.seed, suite.max_steps, cameras)
+        if self._eval_episode.goal.state is None:
+            raise UsageError(f"suite {suite.name}: its goals leave the robot's own state open, and LeRobot is given it")
         self.env.set_state(self._eval_episode.start_sim_state)
         self._max_episode_steps = self._limit or self._eval_episode.max_steps or suite.max_steps
         self._steps, self._steps_held = 0, 0
@@ -189,6 +193,7 @@ class GoalEnv(gym.Env[dict[str, Any], Array]):
             "agent_pos": np.array(observed.state, np.float32),
             "environment_state": np.concatenate([observed.achieved, goal.achieved]).astype(np.float32),
             "goal.state": np.array(goal.achieved, np.float32),
+            "goal.proprio": np.array(goal.state, np.float32),
         }
         if cameras:
             observation["pixels"] = _pixels(observed.images, goal.images, cameras)

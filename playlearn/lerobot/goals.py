@@ -7,7 +7,8 @@ A window ends where its goal is reached and the next one begins there, so that e
 All frames of a window have these columns besides those of plain play:
 
     observation.images.goal_<camera>   (h, w, 3)   image of the goal
-    observation.goal.state             (G,)        objects and fixtures in the goal (the robot if there are no others)
+    observation.goal.state             (G,)        objects and fixtures in the goal, if any are recorded
+    observation.goal.proprio           (S,)        the robot's own state in the goal
     observation.environment_state      (2 G,)      achieved goal and goal: LeRobot's policies read no other states
                                                    than this one and the robot's
     next.success                       (1,) bool   at its last frame
@@ -45,7 +46,7 @@ from playlearn.store.lerobot.content import (
     vectors,
 )
 
-GOAL_IMAGES, GOAL_STATE = IMAGES + "goal_", "observation.goal.state"
+GOAL_IMAGES, GOAL_STATE, GOAL_PROPRIO = IMAGES + "goal_", "observation.goal.state", "observation.goal.proprio"
 
 
 @dataclass(frozen=True)
@@ -137,10 +138,9 @@ class Windows:
 
     def features(self) -> Features:
         spec = self.store.spec
-        names = spec.achieved_names or spec.state_names
-        goal_names = tuple(f"goal.{name}" for name in names)
-        both = (*spec.achieved_names, *goal_names) if spec.achieved_names else ()
-        made = vectors({STATE: spec.state_names, ACHIEVED: both, ACTION: spec.action_names, GOAL_STATE: goal_names})
+        goal, proprio = (tuple(f"goal.{name}" for name in own) for own in (spec.achieved_names, spec.state_names))
+        seen = {STATE: spec.state_names, ACHIEVED: (*spec.achieved_names, *goal), ACTION: spec.action_names}
+        made = vectors({**seen, GOAL_STATE: goal, GOAL_PROPRIO: proprio})
         sizes = self.store.cameras()
         goals = {f"goal_{camera}": sizes[camera] for camera in self.cameras}
         return made | flags(INTERVENTION, SUCCESS) | image_features(sizes | goals)
@@ -156,12 +156,13 @@ class Windows:
             return np.repeat(arrays[key][window.goal][None], count, axis=0)
 
         columns = steps(episode, window.begin, window.goal)
-        goal = repeated(STORED["achieved"] if ACHIEVED in columns else STORED["state"])
+        columns[GOAL_PROPRIO] = repeated(STORED["state"])
         if ACHIEVED in columns:
-            columns[ACHIEVED] = np.concatenate([columns[ACHIEVED], goal], axis=1)
+            columns[GOAL_STATE] = repeated(STORED["achieved"])
+            columns[ACHIEVED] = np.concatenate([columns[ACHIEVED], columns[GOAL_STATE]], axis=1)
         success = np.arange(count)[:, None] == count - 1
         goal_images = {GOAL_IMAGES + camera: repeated(IMAGES + camera) for camera in self.cameras}
         skills = subtasks(episode, window.begin, window.goal)
         task = episode.meta.task or (skills[-1][1] if skills else PLAY)
-        columns |= {GOAL_STATE: goal, SUCCESS: success} | goal_images
+        columns |= {SUCCESS: success} | goal_images
         return Entry(columns, (task,) * count, skills if self.annotated else ())

@@ -6,21 +6,29 @@ It acts through the same actor as under `playlearn eval`; observations have LeRo
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
 import torch
+from lerobot.configs import PolicyFeature
 from lerobot.policies.pretrained import PreTrainedPolicy
 from torch import Tensor
 
 from playlearn.batch import Batch, Inputs, Statistics
 from playlearn.config import to_dict
+from playlearn.data import check_finite
 from playlearn.episode import IMAGES, Array, Goal, Observation
-from playlearn.errors import UsageError
-from playlearn.lerobot.configuration_playlearn import ACHIEVED, GOAL, GOAL_IMAGES, STATE, PlaylearnConfig
+from playlearn.errors import TrainingDiverged, UsageError
+from playlearn.lerobot.configuration_playlearn import ACHIEVED, STATE, PlaylearnConfig, features
+from playlearn.lerobot.goals import GOAL_IMAGES, GOAL_PROPRIO, GOAL_STATE
 from playlearn.policies import Policy, PolicySpec
+from playlearn.policies.checkpoint import first_not_finite
 from playlearn.policies.execution import PolicyActor
+from playlearn.training.divergence import not_finite
+
+FRAME = ("episode_index", "frame_index")
 
 
 class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
@@ -32,12 +40,13 @@ class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
     def __init__(
         self, config: PlaylearnConfig, dataset_stats: Mapping[str, Any] | None = None, dataset_meta: Any = None
     ) -> None:
-        """Raises UsageError if the dataset has no goals, or lacks an input of the policy."""
+        """Raises UsageError where the dataset has no goals, or lacks an input of the policy, or `config` does."""
         super().__init__(config)
         self.config: PlaylearnConfig = config
         spec = config.spec()
         if spec is not None:
             self.policy = config.policy().build(spec, None, seed=0, fetch=False)
+            self._check_config()
         else:
             self.policy = _fresh(config, dataset_stats, dataset_meta)
             description = {"config": to_dict(self.policy.config), "spec": asdict(self.policy.spec)}
@@ -56,7 +65,12 @@ class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
         self._actor = None
 
     def forward(self, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, float]]:
-        """action (B, H, A), action_is_pad (B, H), and observations; a loss and its parts."""
+        """action (B, H, A), action_is_pad (B, H), and observations; a loss and its parts.
+
+        Raises:
+            UsageError: an input is missing or of another shape.
+            TrainingDiverged: the loss is not finite.
+        """
         inputs = self._inputs(batch)
         action = batch["action"]
         padded = batch.get("action_is_pad", torch.zeros(action.shape[:2], dtype=torch.bool))
@@ -77,6 +91,10 @@ class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
             self._updates += 1
         else:
             loss, metrics = self._evaluate(labeled)
+        if not bool(torch.isfinite(loss.detach())):
+            raise TrainingDiverged(
+                f"training diverged: its loss is {float(loss.detach()):g}; {self._reason(labeled, batch)}"
+            )
         return loss, {name: float(value) for name, value in metrics.items()}
 
     def predict_action_chunk(self, batch: Mapping[str, Tensor], **_: Any) -> Tensor:
@@ -90,7 +108,9 @@ class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
         observations, goals = _observations(inputs), _goals(inputs)
         if self._actor is None:
             half = max(1, self.policy.config.chunk // 2)
-            self._actor = PolicyActor(self.policy, self.config.n_action_steps or half, self.config.guidance)
+            modality = "image" if inputs.goal_images else "state"
+            steps = self.config.n_action_steps or half
+            self._actor = PolicyActor(self.policy, steps, self.config.guidance, goal=modality)
             self._actor.reset(goals, [self.config.seed + row for row in range(len(goals))])
         decisions = self._actor.act(observations, [True] * len(observations))
         return torch.from_numpy(np.stack([decision.action for decision in decisions])).to(self.policy.device)
@@ -98,23 +118,72 @@ class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
     def _evaluate(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         return self.policy.loss(batch, torch.Generator().manual_seed(self.config.seed))
 
+    def _save_pretrained(self, save_directory: Path, **options: Any) -> None:
+        """Raises TrainingDiverged where a weight is not finite, so that what was saved before stays the last."""
+        wrong = first_not_finite(self.policy)
+        if wrong is not None:
+            raise TrainingDiverged(f"training diverged: weight {wrong} is not finite; {save_directory} is not written")
+        super()._save_pretrained(save_directory, **options)
+
+    def _reason(self, labeled: Batch, batch: Mapping[str, Tensor]) -> str:
+        """Why a loss is not finite: which number of which frame, or none of them."""
+        found = not_finite(labeled, self.policy.spec)
+        if found is None:
+            return "its data are finite, so its updates are too large: lower policy.optimizer_lr"
+        example, number = found
+        frame = [f"{key.removesuffix('_index')} {int(batch[key][example])}" for key in FRAME if key in batch]
+        return f"its data are to blame: {number} in {', '.join(frame) or f'example {example} of the batch'}"
+
+    def _check_config(self) -> None:
+        """Raises UsageError where the config of a policy that is built lacks one of its inputs, as older exports do."""
+        lacks = [key for key in self._features if key not in (self.config.input_features or {})]
+        if lacks:
+            raise UsageError(
+                f"config.json has no input {', '.join(lacks)}, which the policy reads: export it again with "
+                "`playlearn export policy RUN OUT`"
+            )
+
+    @property
+    def _features(self) -> dict[str, PolicyFeature]:
+        return features(self.policy.spec, self.policy.config)[0]
+
+    def _check(self, batch: Mapping[str, Tensor]) -> None:
+        """Raises UsageError where an input is missing or of another shape."""
+        encoder = self.policy.config.encoder
+        either = set[str]()  # of a goal that is an image or a state, one is enough
+        if len(encoder.goals) > 1:
+            images = {GOAL_IMAGES + camera for camera in encoder.goal_cameras}
+            either = {ACHIEVED, GOAL_STATE} if images <= batch.keys() else images if GOAL_STATE in batch else set()
+        for key, feature in self._features.items():
+            if key not in batch and key not in either:
+                raise UsageError(f"the policy reads {key}, and it is not among {', '.join(sorted(batch))}")
+            shape = tuple(feature.shape)
+            if key in batch and tuple(batch[key].shape[-len(shape) :]) != shape:
+                found = tuple(batch[key].shape[1:])
+                raise UsageError(f"the policy was trained on {key} of shape {shape}, here it is {found}")
+
     def _inputs(self, batch: Mapping[str, Tensor]) -> Inputs:
         """LeRobot's names and shapes to ours; images from (..., 3, h, w) in [0, 1] to (..., h, w, 3) uint8."""
+        self._check(batch)
         encoder, spec = self.policy.config.encoder, self.policy.spec
         state = _over_time(batch[STATE].float(), 1)  # (B, T, S)
         num_achieved = len(spec.achieved_names)
-        nothing = state.new_zeros((*state.shape[:2], 2 * num_achieved))
-        both = _over_time(batch[ACHIEVED].float(), 1) if ACHIEVED in batch else nothing
-        goal = _over_time(batch[GOAL].float(), 1)[:, -1] if GOAL in batch else both[:, -1, num_achieved:]
+        achieved, goal = state.new_zeros((*state.shape[:2], num_achieved)), state.new_zeros((len(state), num_achieved))
+        if num_achieved and ACHIEVED in batch:
+            achieved = _over_time(batch[ACHIEVED].float(), 1)[..., :num_achieved]
+        if num_achieved and GOAL_STATE in batch:
+            goal = _over_time(batch[GOAL_STATE].float(), 1)[:, -1]
         padded = batch.get(f"{STATE}_is_pad")
+        proprio = _over_time(batch[GOAL_PROPRIO].float(), 1) if encoder.uses_goal_proprio else state
+        given = [camera for camera in encoder.goal_cameras if GOAL_IMAGES + camera in batch]
         return Inputs(
             state=state,
-            achieved=both[..., :num_achieved],
+            achieved=achieved,
             history_mask=torch.ones(state.shape[:2], dtype=torch.bool) if padded is None else ~padded,
             goal_achieved=goal,
-            goal_proprio=state[:, -1],
+            goal_proprio=proprio[:, -1],
             images={c: _over_time(_to_uint8(batch[IMAGES + c]), 3) for c in encoder.observation_cameras},
-            goal_images={c: _over_time(_to_uint8(batch[GOAL_IMAGES + c]), 3)[:, -1] for c in encoder.goal_cameras},
+            goal_images={c: _over_time(_to_uint8(batch[GOAL_IMAGES + c]), 3)[:, -1] for c in given},
         )
 
 
@@ -123,7 +192,7 @@ def _fresh(config: PlaylearnConfig, stats: Mapping[str, Any] | None, meta: Any) 
         raise UsageError("a fresh policy is made for a dataset: train it with lerobot-train, or give --policy.path")
     config.validate_features()
     names = {key: tuple(feature.get("names") or ()) for key, feature in meta.features.items()}
-    num_achieved = len(names.get(GOAL, ())) if ACHIEVED in names else 0
+    num_achieved = len(names.get(GOAL_STATE, ())) if ACHIEVED in names else 0
     sizes = {
         key.removeprefix(IMAGES): meta.features[key]["shape"] for key in meta.camera_keys if key.startswith(IMAGES)
     }
@@ -142,8 +211,16 @@ def _fresh(config: PlaylearnConfig, stats: Mapping[str, Any] | None, meta: Any) 
         for part, (key, width) in widths.items()
         if key in stats
     }
+    for part, own in statistics.items():
+        check_finite(np.stack([own.mean, own.std]), names[widths[part][0]], f"{meta.root}: mean and std of {part}")
     statistics.setdefault("achieved", Statistics(np.zeros(0, np.float32), np.ones(0, np.float32)))
     policy = config.policy().build(spec, statistics, config.seed)
+    lacks = [key for key in features(spec, policy.config)[0] if key not in meta.features]
+    if lacks:
+        raise UsageError(
+            f"the policy reads {', '.join(lacks)}, which the dataset lacks: write it with `playlearn export lerobot "
+            "STORE OUT --goals`, or give another recipe"
+        )
     policy.fit_action_statistics(torch.from_numpy(_labels(meta)))
     return policy
 
@@ -175,8 +252,9 @@ def _observations(inputs: Inputs) -> list[Observation]:
 
 
 def _goals(inputs: Inputs) -> list[Goal]:
-    achieved = inputs.goal_achieved.cpu().numpy()
+    achieved, proprio = inputs.goal_achieved.cpu().numpy(), inputs.goal_proprio.cpu().numpy()
     images = {camera: value.cpu().numpy() for camera, value in inputs.goal_images.items()}
     return [
-        Goal(achieved[row], {camera: value[row] for camera, value in images.items()}) for row in range(len(achieved))
+        Goal(achieved[row], {camera: value[row] for camera, value in images.items()}, proprio[row])
+        for row in range(len(achieved))
     ]

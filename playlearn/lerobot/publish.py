@@ -15,20 +15,20 @@ def export_policy(run: Path, out: Path) -> None:
     """Write the policy of a run to `out`: built beside it, loaded back, then moved there.
 
     Raises:
-        CheckpointError: there is no policy at `run`.
-        UsageError: `out` is taken.
+        MissingRunError: there is no policy at `run`.
+        UsageError: `out` is taken, or the policy does not act.
         StoreError: it cannot be written.
     """
-    # Slow to import.
-    from playlearn.lerobot.configuration_playlearn import PlaylearnConfig, features
-    from playlearn.lerobot.modeling_playlearn import PlaylearnPolicy
-    from playlearn.lerobot.processor_playlearn import make_playlearn_pre_post_processors
-
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise UsageError(f"{out} already exists: name another folder")
     policy = Policy.load(run / "policy")
     if policy.spec.predicts != "actions":
         raise UsageError(f"{run} proposes subgoals and does not act: LeRobot has no place for it")
+    # Slow to import.
+    from playlearn.lerobot.configuration_playlearn import PlaylearnConfig, features
+    from playlearn.lerobot.modeling_playlearn import PlaylearnPolicy
+    from playlearn.lerobot.processor_playlearn import make_playlearn_pre_post_processors
+
     inputs, outputs = features(policy.spec, policy.config)
     built = json.dumps({"config": to_dict(policy.config), "spec": asdict(policy.spec)}, default=dict)
     config = PlaylearnConfig(

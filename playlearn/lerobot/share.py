@@ -5,7 +5,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from playlearn.errors import StoreError
-from playlearn.lerobot.goals import GOAL_STATE, RelabelConfig, Windows
+from playlearn.lerobot.goals import GOAL_PROPRIO, RelabelConfig, Windows
 from playlearn.report.lerobot_card import PICTURE, CardFacts, lerobot_card, lerobot_picture
 from playlearn.store import Store
 from playlearn.store.lerobot.content import Content, Play
@@ -24,7 +24,7 @@ def share(
         if picture:
             (root / PICTURE).write_bytes(picture)
         features = content.features()
-        facts = CardFacts(out.name, len(content), GOAL_STATE in features, bool(picture))
+        facts = CardFacts(out.name, len(content), GOAL_PROPRIO in features, bool(picture))
         readback = {camera: str(read) for camera, read in fidelity.items()}
         (root / "README.md").write_text(lerobot_card(content.store, features, readback, facts), encoding="utf-8")
 

@@ -17,6 +17,7 @@ DESCRIPTIONS = {
     "observation.state": "proprioception",
     "observation.environment_state": "objects and fixtures",
     "observation.goal.state": "objects and fixtures in the goal",
+    "observation.goal.proprio": "proprioception in the goal",
     "action": "the label, without noise and mistakes",
     "intervention": "an expert took over",
     "next.success": "the goal is reached by this step",

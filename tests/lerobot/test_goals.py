@@ -49,6 +49,7 @@ def test_every_frame_carries_the_goal_that_the_window_ends_in(store: NativeStore
                 columns["observation.images.goal_front"][t], episode.images["front"][window.goal]
             )
             np.testing.assert_array_equal(columns["observation.goal.state"][t], episode.achieved[window.goal])
+            np.testing.assert_array_equal(columns["observation.goal.proprio"][t], episode.state[window.goal])
             # achieved goal, then goal
             both = np.concatenate([episode.achieved[window.begin + t], episode.achieved[window.goal]])
             np.testing.assert_array_equal(columns["observation.environment_state"][t], both)
@@ -84,6 +85,7 @@ def test_lerobot_takes_its_goal_for_one_more_camera(
     assert dataset.num_episodes == len(content)
     seen = dataset_to_policy_features(dataset.meta.features)
     assert {key: feature.type.name for key, feature in seen.items() if "goal" in key} == {
+        "observation.goal.proprio": "STATE",
         "observation.goal.state": "STATE",
         "observation.images.goal_front": "VISUAL",
         "observation.images.goal_wrist": "VISUAL",

@@ -42,12 +42,29 @@ def new_env() -> "GoalEnv":
     return GoalEnv(SUITE, expert=point_expert)
 
 
-@pytest.fixture(scope="module", params=["state", "cnn"])
-def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+STATE, PROPRIO, IMAGE = "observation.goal.state", "observation.goal.proprio", "observation.images.goal_front"
+# Every kind of goal that trains: its encoder, and what is read of the goal.
+GOALS: dict[str, tuple[dict[str, Any], set[str]]] = {
+    "state": (small("state"), {STATE}),
+    "pose": (small("state", goal_proprio=True, goal_names=[]), {PROPRIO}),
+    "state and pose": (small("state", goal_proprio=True), {STATE, PROPRIO}),
+    "image": (small("cnn"), {IMAGE}),
+    "image or state": (small("cnn", goal="both"), {IMAGE, STATE}),
+    "state beside images": (small("cnn", goal="state"), {STATE}),
+}
+
+
+@pytest.fixture(scope="module", params=GOALS)
+def kind(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture(scope="module")
+def run(kind: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An untrained policy for the point environment; deterministic like a trained one."""
     env = PointConfig().build()
     names = {name: getattr(env.spec, name) for name in ("state_names", "achieved_names", "action_names", "fps")}
-    parts = {"encoder": small(request.param), "trunk": small("mlp"), "head": small("deterministic"), "chunk": 4}
+    parts = {"encoder": GOALS[kind][0], "trunk": small("mlp"), "head": small("deterministic"), "chunk": 4}
     policy = from_dict(PolicyConfig, parts).build(PolicySpec(**names, cameras=SIZES), None, seed=0)
     folder = tmp_path_factory.mktemp("run")
     policy.save(folder / "policy")
@@ -140,12 +157,11 @@ def test_lerobots_loop_gives_our_results(run: Path, their_env: "GoalEnv", tmp_pa
 
 
 @pytest.mark.slow
-def test_a_config_says_what_the_policy_reads(run: Path, tmp_path: Path) -> None:
+def test_a_config_says_what_the_policy_reads(run: Path, kind: str, tmp_path: Path) -> None:
     export_policy(run, tmp_path / "out")
     config = json.loads((tmp_path / "out" / "config.json").read_text())
     assert config["type"] == "playlearn"
-    seen = {key for key in config["input_features"] if "goal" in key}
-    assert seen
+    assert {key for key in config["input_features"] if "goal" in key} == GOALS[kind][1]
     assert config["output_features"] == {"action": {"type": "ACTION", "shape": [3]}}
     with pytest.raises(UsageError, match="already exists"):
         export_policy(run, tmp_path / "out")
