@@ -22,7 +22,8 @@ def train(
 
     Raises:
         UsageError: the config is wrong; `out` is taken or, with `resume`, holds no run of this config.
-        StoreError: the play is missing or too little.
+        StoreError: the play is missing or too little, or holds a number that is not finite.
+        TrainingDiverged: a loss, a gradient or a weight is not finite; what was saved before is kept.
         NotLearnedError: a fresh policy is no better than before the first update; what was trained is kept.
     """
     from playlearn.training import train as run
@@ -140,8 +141,8 @@ def export_policy(run: Where, out: Where) -> None:
     """Write a run's policy as one of LeRobot's, for `lerobot-eval --policy.path`.
 
     Raises:
-        CheckpointError: there is no policy in `run`.
-        UsageError: `out` is taken.
+        CheckpointError: there is no policy in `run`, or its weights are not finite.
+        UsageError: `out` is taken, or the policy does not act.
     """
     from playlearn.lerobot.publish import export_policy as job
 

@@ -89,13 +89,19 @@ class PlaylearnConfig(PreTrainedConfig):  # type: ignore[misc]
         return None
 
 
-def features(spec: PolicySpec, policy: PolicyConfig) -> tuple[dict[str, PolicyFeature], dict[str, PolicyFeature]]:
-    """Inputs and outputs of a policy as LeRobot's features; images are channel first."""
+def features(
+    spec: PolicySpec, policy: PolicyConfig, *, training: bool = False
+) -> tuple[dict[str, PolicyFeature], dict[str, PolicyFeature]]:
+    """Inputs and outputs of a policy as LeRobot's features; images are channel first.
+
+    training: with what training alone reads.
+    """
     state, goal, encoder = len(spec.state_names), len(spec.achieved_names), policy.encoder
     features: dict[str, Any] = {STATE: (FeatureType.STATE, (state,))}
-    if "state" in encoder.goals and goal:
+    supervised = training and encoder.supervised
+    if ("state" in encoder.goals and goal) or supervised:
         features[ACHIEVED] = (FeatureType.ENV, (2 * goal,))
-        if ObjectLayout(spec.achieved_names).select(encoder.goal_names):
+        if ObjectLayout(spec.achieved_names).select(encoder.goal_names) or supervised:
             features[GOAL_STATE] = (FeatureType.STATE, (goal,))
     if encoder.uses_goal_proprio:
         features[GOAL_PROPRIO] = (FeatureType.STATE, (state,))

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import torch
-from lerobot.configs import PolicyFeature
 from lerobot.policies.pretrained import PreTrainedPolicy
 from torch import Tensor
 
@@ -71,7 +70,7 @@ class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
             UsageError: an input is missing or of another shape.
             TrainingDiverged: the loss is not finite.
         """
-        inputs = self._inputs(batch)
+        inputs = self._inputs(batch, training=True)
         action = batch["action"]
         padded = batch.get("action_is_pad", torch.zeros(action.shape[:2], dtype=torch.bool))
         labeled = Batch(
@@ -136,25 +135,25 @@ class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
 
     def _check_config(self) -> None:
         """Raises UsageError where the config of a policy that is built lacks one of its inputs, as older exports do."""
-        lacks = [key for key in self._features if key not in (self.config.input_features or {})]
+        lacks = [
+            key
+            for key in features(self.policy.spec, self.policy.config)[0]
+            if key not in (self.config.input_features or {})
+        ]
         if lacks:
             raise UsageError(
                 f"config.json has no input {', '.join(lacks)}, which the policy reads: export it again with "
                 "`playlearn export policy RUN OUT`"
             )
 
-    @property
-    def _features(self) -> dict[str, PolicyFeature]:
-        return features(self.policy.spec, self.policy.config)[0]
-
-    def _check(self, batch: Mapping[str, Tensor]) -> None:
+    def _check(self, batch: Mapping[str, Tensor], *, training: bool) -> None:
         """Raises UsageError where an input is missing or of another shape."""
         encoder = self.policy.config.encoder
-        either = set[str]()  # of a goal that is an image or a state, one is enough
-        if len(encoder.goals) > 1:
+        either = set[str]()  # of a goal that is an image or a state, one is enough to act
+        if len(encoder.goals) > 1 and not training:
             images = {GOAL_IMAGES + camera for camera in encoder.goal_cameras}
             either = {ACHIEVED, GOAL_STATE} if images <= batch.keys() else images if GOAL_STATE in batch else set()
-        for key, feature in self._features.items():
+        for key, feature in features(self.policy.spec, self.policy.config, training=training)[0].items():
             if key not in batch and key not in either:
                 raise UsageError(f"the policy reads {key}, and it is not among {', '.join(sorted(batch))}")
             shape = tuple(feature.shape)
@@ -162,9 +161,9 @@ class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
                 found = tuple(batch[key].shape[1:])
                 raise UsageError(f"the policy was trained on {key} of shape {shape}, here it is {found}")
 
-    def _inputs(self, batch: Mapping[str, Tensor]) -> Inputs:
+    def _inputs(self, batch: Mapping[str, Tensor], *, training: bool = False) -> Inputs:
         """LeRobot's names and shapes to ours; images from (..., 3, h, w) in [0, 1] to (..., h, w, 3) uint8."""
-        self._check(batch)
+        self._check(batch, training=training)
         encoder, spec = self.policy.config.encoder, self.policy.spec
         state = _over_time(batch[STATE].float(), 1)  # (B, T, S)
         num_achieved = len(spec.achieved_names)
@@ -215,7 +214,7 @@ def _fresh(config: PlaylearnConfig, stats: Mapping[str, Any] | None, meta: Any) 
         check_finite(np.stack([own.mean, own.std]), names[widths[part][0]], f"{meta.root}: mean and std of {part}")
     statistics.setdefault("achieved", Statistics(np.zeros(0, np.float32), np.ones(0, np.float32)))
     policy = config.policy().build(spec, statistics, config.seed)
-    lacks = [key for key in features(spec, policy.config)[0] if key not in meta.features]
+    lacks = [key for key in features(spec, policy.config, training=True)[0] if key not in meta.features]
     if lacks:
         raise UsageError(
             f"the policy reads {', '.join(lacks)}, which the dataset lacks: write it with `playlearn export lerobot "

@@ -156,6 +156,26 @@ def test_weights_that_are_not_finite_are_not_saved(fresh: Callable[..., tuple[An
         policy.train().forward(batch)
 
 
+def test_what_only_training_reads_is_asked_for_then(tmp_path: Path) -> None:
+    """Images that are supervised with `achieved`, and goals of either kind: acting needs less than training."""
+    options = {"goal": "both", "state_supervision": 1.0, "use_estimated_state": True}
+    policy("cnn", encoder_options=options).save(tmp_path / "run" / "policy")
+    export_policy(tmp_path / "run", tmp_path / "out")
+    ours = loaded(tmp_path / "out")
+    images = {f"observation.images.{name}": torch.zeros(2, 3, 16, 16) for name in ("front", "wrist", "goal_front")}
+    seen = observed(**images)
+    assert ours.predict_action_chunk(seen).shape == (2, H, 3)
+    told = {**seen, "observation.goal.state": torch.zeros(2, 4), "observation.environment_state": torch.zeros(2, 8)}
+    del told["observation.images.goal_front"]
+    assert ours.predict_action_chunk(told).shape == (2, H, 3)
+    ours.reset()
+    assert ours.select_action(told).shape == (2, 3)
+    with pytest.raises(UsageError, match=r"the policy reads observation\.environment_state, and it is not among"):
+        ours.train().forward({**seen, "action": torch.zeros(2, H, 3)})
+    loss, _ = ours.forward({**seen, **told, "action": torch.zeros(2, H, 3)})
+    assert loss.isfinite()
+
+
 def test_what_the_dataset_cannot_give_is_refused(fresh: Callable[..., tuple[Any, Any]], tmp_path: Path) -> None:
     recipe = tmp_path / "recipe.yaml"
     recipe.write_text(json.dumps({"policy": {"encoder": small("state")}}))

@@ -48,6 +48,11 @@ class EncoderConfig(draccus.ChoiceRegistry):
         """Whether `achieved` must have dimensions that a goal covers."""
         return "state" in self.goals
 
+    @property
+    def supervised(self) -> bool:
+        """Whether training also reads `achieved` of observation and goal, which acting does not."""
+        return False
+
     def check_goal(self, spec: Named, where: str = "this play") -> None:
         """Raises UsageError where there is no goal to reach in such play. where: its store, for the message."""
         if self.needs_achieved:

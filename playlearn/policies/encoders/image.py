@@ -42,8 +42,12 @@ class ImageConfig(CamerasConfig):
     def needs_achieved(self) -> bool:
         return "state" in self.goals or self.use_estimated_state
 
+    @property
+    def supervised(self) -> bool:
+        return self.state_supervision > 0
+
     def check_goal(self, spec: Named, where: str = "this play") -> None:
-        if self.state_supervision > 0 and not spec.achieved_names:
+        if self.supervised and not spec.achieved_names:
             raise UsageError(
                 f"encoder.state_supervision: {where} records no objects (`achieved`) that images could be supervised "
                 "with; leave it at 0"
