@@ -221,5 +221,6 @@ def _check(name: str, value: Array, dtype: Any, rows: int, width: int | None) ->
     if width is not None and value.shape != (rows, width):
         raise EpisodeError(f"{name} must have shape {(rows, width)}, got {value.shape}")
     if np.issubdtype(value.dtype, np.floating) and not np.isfinite(value).all():
-        bad = int(np.argwhere(~np.isfinite(value.reshape(rows, -1)).all(axis=1))[0, 0])
-        raise EpisodeError(f"{name} is not finite at step {bad}")
+        flat = value.reshape(rows, -1)
+        step, dimension = np.argwhere(~np.isfinite(flat))[0]
+        raise EpisodeError(f"{name} is not finite at step {step}: dimension {dimension} is {flat[step, dimension]}")

@@ -190,7 +190,10 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "fewer": (lambda root: info(root, total_episodes=5), "says total_episodes 5, its episodes' metadata makes it 3"),
     "not a number": (
         lambda root: rewrite(root / DATA, lambda t: column(t, "action", lambda a: put(a, 34, np.nan))),
-        "episode 1: action is not finite at frame 4(.|\n)*2 of 3 episodes can be used as they are: `skip_broken: true`",
+        (
+            "episode 1: action is not finite at frame 4: dimension 0 is nan(.|\n)*"
+            "2 of 3 episodes can be used as they are: `skip_broken: true`"
+        ),
     ),
     "index gap": (
         lambda root: rewrite(root / DATA, lambda t: column(t, "index", lambda a: a + (a > 65))),

@@ -205,7 +205,7 @@ def test_a_nan_never_becomes_an_episode(rng: np.random.Generator) -> None:
     episode = make_episode(rng, 10)
     action = episode.action.copy()
     action[4, 1] = np.nan
-    with pytest.raises(EpisodeError, match="action is not finite at step 4"):
+    with pytest.raises(EpisodeError, match="action is not finite at step 4: dimension 1 is nan"):
         dataclasses.replace(episode, action=action)
 
 

@@ -158,8 +158,13 @@ def _episode(table: pa.Table, row: Row, keys: Sequence[str], fps: float, shortes
             columns[key] = matrix(table[key])
         except StoreError as error:
             return {}, f"{key} {error}"
-        if not np.isfinite(columns[key]).all():
-            return {}, f"{key} is not finite at frame {int(np.argmin(np.isfinite(columns[key]).all(axis=1)))}"
+        wrong = np.argwhere(~np.isfinite(columns[key]))
+        if len(wrong):
+            frame, dimension = wrong[0]
+            return (
+                {},
+                f"{key} is not finite at frame {frame}: dimension {dimension} is {columns[key][frame, dimension]}",
+            )
     return columns, ""
 
 
