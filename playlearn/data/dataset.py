@@ -36,7 +36,8 @@ class DataConfig:
     goals: the goal sampler.
     settling: when the achieved goal counts as settled.
     goal_names: shell-style patterns of the achieved dimensions that a goal covers; what else changes is neither a
-        settled moment nor balanced. A run takes it from the policy's encoder.
+        settled moment nor balanced; where they choose none, settled moments are read from the robot. A run takes it
+        from the policy's encoder.
     history: observations that a policy reads, the present one included (T). A run takes it from the policy.
     chunk: actions that a policy predicts (H). A run takes it from the policy.
     cameras: whose images an observation holds. A run takes them from the policy's encoder.
