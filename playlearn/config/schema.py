@@ -5,7 +5,7 @@ import difflib
 import math
 import types
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
@@ -62,17 +62,20 @@ def complete(cls: Any, raw: Mapping[str, Any], default: Mapping[str, Any] | None
     return full
 
 
-def encode(value: Any) -> Any:
-    """A config or a part of it as JSON (draccus.encode forgets the kinds in a tuple, and of a kind by itself)."""
+def encode(value: Any, path: Callable[[Path], str] = str) -> Any:
+    """A config or a part of it as JSON (draccus.encode forgets the kinds in a tuple, and of a kind by itself).
+
+    path: how a path is spelled.
+    """
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         cls: Any = type(value)
         kind = {TYPE: cls.get_choice_name(cls)} if _is_choice(cls) else {}
-        return kind | {field.name: encode(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        return kind | {field.name: encode(getattr(value, field.name), path) for field in dataclasses.fields(value)}
     if isinstance(value, Mapping):
-        return {str(key): encode(item) for key, item in value.items()}
+        return {str(key): encode(item, path) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [encode(item) for item in value]
-    return str(value) if isinstance(value, Path) else value
+        return [encode(item, path) for item in value]
+    return path(value) if isinstance(value, Path) else value
 
 
 def build(cls: Any, raw: Any, path: tuple[str, ...]) -> Any:

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from playlearn.config import atomic_write, from_dict, git_revision, load_config, save_config, to_dict, versions
-from playlearn.errors import UsageError
+from playlearn.errors import DiskError, UsageError
 
 
 @dataclass(frozen=True)
@@ -261,7 +261,7 @@ def test_a_write_that_fails_leaves_what_was_there(tmp_path: Path, monkeypatch: p
 
     with monkeypatch.context() as patched:
         patched.setattr("os.fsync", full)
-        with pytest.raises(OSError, match="No space left"):
+        with pytest.raises(DiskError, match=f"{tmp_path}: the disk is full"):
             atomic_write(path, b"new")
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
