@@ -38,8 +38,8 @@ def disk_problem(error: BaseException) -> str | None:
     """
     one: BaseException | None = error
     while one is not None:
-        said = str(one)
-        if getattr(one, "errno", None) in _FULL or any(os.strerror(number) in said for number in _FULL):
+        message = str(one)
+        if getattr(one, "errno", None) in _FULL or any(os.strerror(number) in message for number in _FULL):
             return "the disk is full"
         one = one.__cause__ or one.__context__
     return None
