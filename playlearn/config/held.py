@@ -9,7 +9,7 @@ from pathlib import Path
 
 from playlearn.config.disk import disk_errors
 from playlearn.config.record import make_folder, sync_folder
-from playlearn.errors import BusyError, UsageError
+from playlearn.errors import BusyError, DiskError, UsageError
 
 LOCK = ".lock"
 
@@ -63,6 +63,8 @@ def built_beside(out: Path) -> Iterator[Path]:
                     sync_folder(out.parent)
             finally:
                 _remove(built)
+    except DiskError as error:
+        raise DiskError(f"{error}; nothing was left at {out}") from error
     finally:
         with suppress(OSError):  # another process holds it
             place.rmdir()

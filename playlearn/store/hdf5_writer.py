@@ -3,12 +3,11 @@
 import io
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from playlearn.config.record import sync_folder
-from playlearn.errors import StoreError
+from playlearn.config import built_beside, disk_errors
 from playlearn.store.hdf5 import import_h5py
 
 
@@ -21,25 +20,19 @@ def new_hdf5(out: Path, check: Callable[[Path], None] = lambda path: None) -> It
 
     Raises:
         UsageError: h5py is not installed.
-        StoreError: the disk is full, or fails.
+        BusyError: another process writes it.
+        DiskError: the disk is full, or fails.
     """
-    h5py, building = import_h5py(), out.with_name(f".{out.name}.building")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with building.open("w+b", buffering=0) as raw:  # what an export that was killed has left is overwritten
-            disk = _Disk(raw.fileno())
+    h5py = import_h5py()
+    with built_beside(out) as building:
+        with building.open("w+b", buffering=0) as raw:
+            disk = _Disk(raw.fileno(), out.parent)
             with h5py.File(disk, "w") as file:
                 yield file, disk.check
             disk.check()
-            os.fsync(raw.fileno())
+            with disk_errors(out.parent, every=True):
+                os.fsync(raw.fileno())
         check(building)
-        building.replace(out)
-        sync_folder(out.parent)
-    except OSError as error:
-        raise StoreError(f"{out} cannot be written ({error.strerror or error}): nothing was left there") from error
-    finally:
-        with suppress(OSError):  # a disk that was made read-only
-            building.unlink(missing_ok=True)
 
 
 class _Disk(io.RawIOBase):
@@ -49,14 +42,15 @@ class _Disk(io.RawIOBase):
     fault. After a failure nothing more is written, and zeros are read.
     """
 
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor, self._at, self._size = descriptor, 0, 0
+    def __init__(self, descriptor: int, folder: Path) -> None:
+        self._folder, self._descriptor, self._at, self._size = folder, descriptor, 0, 0
         self._error: OSError | None = None
 
     def check(self) -> None:
-        """Raises OSError where a write has failed."""
+        """Raises DiskError where a write has failed."""
         if self._error is not None:
-            raise self._error
+            with disk_errors(self._folder, every=True):
+                raise self._error
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self._size}[whence]

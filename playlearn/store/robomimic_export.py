@@ -40,7 +40,9 @@ def export_robomimic(
 
     Raises:
         UsageError: h5py is not installed.
-        StoreError: `out` is taken, there is nothing to write, or the disk is full.
+        StoreError: `out` is taken, or there is nothing to write.
+        BusyError: another process exports to `out`.
+        DiskError: the disk is full; nothing is left there.
     """
     if out.exists():
         raise StoreError(f"{out} already exists: remove it, or name another file")
