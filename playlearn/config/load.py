@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from playlearn.config.paths import found_from, moved, spelled_from
+from playlearn.config.paths import found, from_file, moved, spelled_from
 from playlearn.config.record import atomic_write
 from playlearn.config.schema import TYPE, Problem, build, complete, encode, format_value, nearest
 from playlearn.errors import UsageError
@@ -21,7 +21,7 @@ def load_config[T](cls: type[T], path: Path | None, overrides: Sequence[str] = (
     Raises:
         UsageError: no such file, not YAML, an unknown field or kind, a missing field, a value of a wrong type.
     """
-    raw = {} if path is None else read_config(path)
+    raw = {} if path is None else _read(path)
     where = "" if path is None else f"{path}: "
     given = _parse(overrides)
     try:
@@ -70,6 +70,11 @@ def read_config(path: Path) -> dict[str, Any]:
     Raises:
         UsageError: no such file, not YAML, not a mapping.
     """
+    raw: dict[str, Any] = found(_read(path))
+    return raw
+
+
+def _read(path: Path) -> dict[str, Any]:
     try:
         raw = _yaml(path.read_text(encoding="utf-8"), str(path))
     except FileNotFoundError:
@@ -83,8 +88,8 @@ def read_config(path: Path) -> dict[str, Any]:
         return {}
     if not isinstance(raw, dict):
         raise UsageError(f"{path}: a config is a mapping of fields, not {format_value(raw)}")
-    found: dict[str, Any] = found_from(path.parent, raw)
-    return found
+    marked: dict[str, Any] = from_file(path.parent, raw)
+    return marked
 
 
 def to_yaml(value: Any) -> str:

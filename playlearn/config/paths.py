@@ -8,7 +8,7 @@ any folder, also after the run and what it names were moved together.
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 
 def spelled_from(folder: Path) -> Callable[[Path], str]:
@@ -22,10 +22,37 @@ def spelled_from(folder: Path) -> Callable[[Path], str]:
     return spell
 
 
-def found_from(folder: Path, raw: Any) -> Any:
-    """What was read from a file in `folder`, with every `./` and `../` path found."""
+class FileText(str):
+    """A text from a file that is a path from the file's folder, if it is a path."""
+
+    __slots__ = ("_folder",)
+    _folder: str
+
+    def __new__(cls, text: str, folder: str) -> Self:
+        """folder: of the file."""
+        made = super().__new__(cls, text)
+        made._folder = folder
+        return made
+
+    def found(self) -> str:
+        """The path."""
+        return os.path.normpath(Path(self._folder) / self)
+
+
+def from_file(folder: Path, raw: Any) -> Any:
+    """What was read from a file in `folder`, with every text that begins with `./` or `../` a FileText."""
     base = os.path.realpath(folder)
-    return _mapped(raw, lambda text: os.path.normpath(Path(base) / text))
+    return _mapped(raw, lambda text: FileText(text, base))
+
+
+def found(raw: Any) -> Any:
+    """The same with every FileText found."""
+    return _mapped(raw, lambda text: text.found() if isinstance(text, FileText) else text)
+
+
+def unmarked(raw: Any) -> Any:
+    """The same with every FileText a plain text again."""
+    return _mapped(raw, lambda text: str(text))
 
 
 def moved(raw: Any, source: Path, target: Path) -> Any:

@@ -12,6 +12,7 @@ from typing import Any, get_args, get_origin
 import draccus
 from draccus.utils import DraccusException
 
+from playlearn.config.paths import FileText, unmarked
 from playlearn.errors import UsageError
 
 TYPE = "type"
@@ -82,7 +83,7 @@ def build(cls: Any, raw: Any, path: tuple[str, ...]) -> Any:
     """The value of type `cls` that `raw` describes; raises Problem at the first thing that is wrong."""
     origin, arguments = get_origin(cls), get_args(cls)
     if cls is Any:
-        return raw
+        return unmarked(raw)
     if origin in (typing.Union, types.UnionType):
         return _build_union(arguments, raw, path)
     if dataclasses.is_dataclass(cls) or _is_choice(cls):
@@ -158,6 +159,8 @@ def _build_sequence(cls: Any, raw: Any, path: tuple[str, ...]) -> Any:
 
 
 def _build_leaf(cls: Any, raw: Any, path: tuple[str, ...]) -> Any:
+    if isinstance(raw, FileText):
+        raw = raw.found() if cls is Path else str(raw)
     # draccus accepts null, true or a list for a number or a text; in a config that is a mistake.
     allowed = {int: (int,), float: (int, float), bool: (bool,), str: (str,), Path: (str, Path)}.get(cls)
     wrong = Problem(path, f"{_name(path)} must be {_expected(cls)}, not {format_value(raw)}")

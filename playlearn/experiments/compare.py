@@ -50,7 +50,7 @@ class CompareConfig:
 
     base: YAML of the training config that all variants start from.
     suite: what all are evaluated on.
-    variants: name -> the fields in which each differs (`policy.head.type: diffusion`).
+    variants: name -> the fields in which each differs (`policy.head.type: diffusion`), as on the command line.
     common: fields of `base` that are set differently here, for all.
     goal: how goals are shown.
     episodes: of each evaluation.

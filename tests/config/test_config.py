@@ -1,7 +1,7 @@
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -103,7 +103,9 @@ def test_dict_and_json_hold_the_whole_config(run: RunConfig) -> None:
 def test_a_saved_config_is_read_back(run: RunConfig, tmp_path_factory: pytest.TempPathFactory) -> None:
     path = tmp_path_factory.mktemp("config") / "config.yaml"
     save_config(run, path)
-    assert load_config(RunConfig, path) == run
+    read = load_config(RunConfig, path)
+    assert read.store.resolve() == run.store.resolve(), "the same place, from any folder"
+    assert replace(read, store=run.store) == run
 
 
 def test_a_kind_by_itself_keeps_its_name() -> None:
