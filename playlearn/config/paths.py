@@ -52,7 +52,7 @@ def found(raw: Any) -> Any:
 
 def unmarked(raw: Any) -> Any:
     """The same with every FileText a plain text again."""
-    return _mapped(raw, lambda text: str(text))
+    return _mapped(raw, str)
 
 
 def moved(raw: Any, source: Path, target: Path) -> Any:
