@@ -44,6 +44,7 @@ def test_half_a_config_is_not_left(tmp_path: Path, before: str, monkeypatch: pyt
     monkeypatch.setattr(os, "write", full)
     with pytest.raises(DiskError, match=r"my\.yaml: the disk is full"), whole_output():
         print("store: datasets/play\n" * 1000)
+    sys.stdout.close()
     assert path.read_text() == before
 
 

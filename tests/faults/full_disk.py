@@ -84,6 +84,7 @@ def sweep(disk: Disk, act: Callable[[], Any], growing: tuple[str, ...]) -> int:
             return failed
         assert f"{disk.folder}" in message, message
         assert "the disk is full" in message, message
+        assert pages * PAGE < shutil.disk_usage(disk.folder).total, "too small a disk for it"
         failed, pages = failed + 1, 2 * pages + 1
         after = disk.files()
         left = [name for name in disk.folder.rglob("*") if name.name.endswith(TEMPORARY)]
@@ -104,7 +105,7 @@ def writers(roomy: Path, disk: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     """Each writer, with what it writes into a folder of its own name."""
     store = play(roomy / "play", 4)
     images = make_store(roomy / "images", np.random.default_rng(0), 2, 12, ("front",))
-    save_config(replace(SUITE, episodes=2, max_steps=10, environment=PointConfig()), roomy / "suite.yaml")
+    save_config(replace(SUITE, episodes=2, environment=PointConfig()), roomy / "suite.yaml")
     fields = {
         "store": str(store.path),
         "data": {"val_fraction": 0.5},
