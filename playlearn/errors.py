@@ -14,7 +14,15 @@ class EpisodeError(PlaylearnError):
 
 
 class StoreError(PlaylearnError):
-    """A store that is missing, broken, locked by another writer, or without what was asked of it."""
+    """A store that is missing, broken, or without what was asked of it."""
+
+
+class DiskError(PlaylearnError):
+    """The disk of a folder is full or cannot be written; what was there is as it was."""
+
+
+class BusyError(PlaylearnError):
+    """A folder that another process is writing."""
 
 
 class MissingStoreError(StoreError, UsageError):

@@ -60,7 +60,8 @@ def collect(
 
     Raises:
         UsageError: the config is wrong, or `out` was collected with another one.
-        StoreError: `out` is taken and `resume` was not asked for; the disk is full.
+        StoreError: `out` is taken and `resume` was not asked for.
+        DiskError: the disk is full.
         PlaylearnError: episodes failed; the others are kept.
     """
     from playlearn.collection import collect as run

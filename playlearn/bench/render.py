@@ -13,7 +13,9 @@ from scipy.ndimage import gaussian_filter
 
 from playlearn.bench.base import Figure, Size, measuring, rates
 from playlearn.bench.envs import SEED, SIDE, Pair, actions, pairs
+from playlearn.config import make_folder
 from playlearn.episode import Array
+from playlearn.report.figure import save_picture
 from playlearn.sim.rendering.simplify import VISUAL_GROUP
 
 FINE = 8  # the full-quality image is rendered at so many times the size and averaged down
@@ -159,9 +161,10 @@ def _similarity(pair: Pair, states: Sequence[Array], out: Path | None) -> Iterat
         yield Figure(f"{pair.name}: similarity, {camera}", mean, "SSIM")
         strips += [np.concatenate(ours[:4], axis=1), np.concatenate(full[:4], axis=1)]
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
+        make_folder(out)
         sheet = Image.fromarray(np.concatenate(strips))
-        sheet.resize((2 * sheet.width, 2 * sheet.height), Image.Resampling.NEAREST).save(out / f"{pair.name}.png")
+        larger = sheet.resize((2 * sheet.width, 2 * sheet.height), Image.Resampling.NEAREST)
+        save_picture(larger, out / f"{pair.name}.png")
 
 
 def _averaged(image: Array) -> Array:

@@ -3,7 +3,6 @@
 Exit codes: 0 done, 1 the job failed, 2 bad usage or config, 130 interrupted (what was finished is kept).
 """
 
-import errno
 import os
 import signal
 import sys
@@ -11,9 +10,10 @@ import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
+from playlearn.cli.output import whole_output
 from playlearn.cli.parser import parse
 from playlearn.cli.verb import FAILED, INTERRUPTED, USAGE
-from playlearn.errors import PlaylearnError, UsageError
+from playlearn.errors import DiskError, PlaylearnError, UsageError
 from playlearn.threads import limit
 
 DEBUG = "PLAYLEARN_DEBUG"
@@ -27,9 +27,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(stop.code or 0)
     limit()  # before anything numerical is imported
     try:
-        with _termination_as_interrupt():
+        with _termination_as_interrupt(), whole_output():
             code: int = arguments.command(arguments)
-            sys.stdout.flush()
             return code
     except KeyboardInterrupt:
         return _say(f"interrupted{arguments.kept}", INTERRUPTED)
@@ -37,25 +36,26 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
     except Exception as error:
-        message = _explain(error)
+        message = _explain(error, arguments.kept)
         if message is None:
             raise
         return _say(message, USAGE if isinstance(error, UsageError) else FAILED)
 
 
-def _explain(error: Exception) -> str | None:
-    """The message of an error that a user can mend; None for one that is ours."""
+def _explain(error: Exception, kept: str) -> str | None:
+    """The message of an error that a user can mend; None for one that is ours. kept: see `Verb`."""
+    from playlearn.config import disk_problem  # slow to import, and seldom needed
+
+    advice = kept or ". Make room, and run the same command again"
+    if isinstance(error, DiskError):
+        return f"{error}{advice}"
     if isinstance(error, PlaylearnError):
         return str(error)
-    if getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT) or "No space left on device" in str(error):
-        return f"the disk is full ({error}); what was finished is kept. Make room and run the same command again."
-    if (
-        isinstance(error, PermissionError | FileNotFoundError | NotADirectoryError | IsADirectoryError)
-        and error.filename
-    ):
-        return f"{error.strerror}: {error.filename}"
-    if isinstance(error, OSError) and error.errno == errno.EROFS:
-        return f"{error.strerror}: {error.filename}"
+    problem = disk_problem(error)
+    if problem is not None:
+        return f"{getattr(error, 'filename', None) or 'a folder of this command'}: {problem}{advice}"
+    if isinstance(error, OSError) and error.filename:
+        return f"{error.strerror or error}: {error.filename}"
     return None
 
 

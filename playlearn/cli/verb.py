@@ -39,7 +39,8 @@ class Verb:
         """What `--help` says of the fields that it does not list."""
         if not self.overrides:
             return None
-        text = "Any field of the config can be set: `--field value`, `--block.field value`."
+        text = "Any field of the config can be set: `--field value`, `--block.field value`. "
+        text += "A path is looked for from the working directory; in a file, `./` and `../` from the file's own folder."
         if self.config:
             text += f" `playlearn config {self.config}` prints every field with its default, choices and meaning."
         return text

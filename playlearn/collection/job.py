@@ -17,7 +17,7 @@ from playlearn.collection.config import CollectConfig, episode_seed
 from playlearn.collection.store import RESOLVED, begin
 from playlearn.config import from_dict
 from playlearn.episode import Episode
-from playlearn.errors import PlaylearnError, RenderError, StoreError, UsageError
+from playlearn.errors import DiskError, PlaylearnError, RenderError, StoreError, UsageError
 from playlearn.executor import Job, LocalExecutorConfig, LostError, Result
 from playlearn.oracles import play_policy_for
 from playlearn.process_cache import cached_env, forget_envs
@@ -25,7 +25,7 @@ from playlearn.report.progress import Progress
 from playlearn.rollout import rollout
 from playlearn.store import write_episode
 
-_OF_ALL = (UsageError, StoreError, RenderError, OSError)  # what every other episode would raise too
+_OF_ALL = (UsageError, StoreError, DiskError, RenderError, OSError)  # what every other episode would raise too
 _GIVE_UP = 10  # failures in a row after which the rest is not tried
 _STDERR = 2
 _NAMED = 10  # failures in the last message; all were printed when they happened
@@ -39,7 +39,9 @@ def collect(config: CollectConfig, out: Path, *, workers: int | None = None, res
 
     Raises:
         UsageError: `out` was begun with another config; an unknown camera.
-        StoreError: `out` holds something already and `resume` was not asked for; the disk is full.
+        StoreError: `out` holds something already and `resume` was not asked for.
+        BusyError: another process writes there.
+        DiskError: the disk is full.
         PlaylearnError: episodes failed; gives the command that plays each of them by itself.
     """
     environment = cached_env(config.environment)

@@ -1,7 +1,6 @@
 """Estimate moments of a store's episodes with an image encoder, on all cores; an interrupted call continues."""
 
 import functools
-import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,16 +8,16 @@ import numpy as np
 import torch
 
 from playlearn.batch import Inputs
+from playlearn.config import file_digest
 from playlearn.data.perceived import PerceivedConfig
 from playlearn.episode import Array, Observation
-from playlearn.episode_jobs import missing, run_jobs
+from playlearn.episode_jobs import made_of, make_files
 from playlearn.errors import MissingRunError
 from playlearn.executor import Job
 from playlearn.policies import Policy
 from playlearn.policies.policy import WEIGHTS
 from playlearn.process_cache import cached_env_of, cached_note, cached_store
 from playlearn.store import Store, episode_path
-from playlearn.store.folder import claim
 from playlearn.store.tensors import write_tensors
 
 NOTE = "perceived.json"
@@ -33,15 +32,16 @@ def make_perceived(config: PerceivedConfig, store: Store, folder: Path, workers:
     Raises:
         CheckpointError: there is no encoder, or it is not of this store's environment.
         UsageError: `folder` was made with other settings, or the encoder does not estimate where objects are.
-        StoreError: the store lacks simulator states, or the disk is full.
+        StoreError: the store lacks simulator states.
+        BusyError: another process makes them.
+        DiskError: the disk is full.
     """
     encoder, weights = _encoder(str(config.encoder)), config.encoder / "policy" / WEIGHTS
     note = {
-        "store": store.name(),
-        "encoder": hashlib.sha256(weights.read_bytes()).hexdigest(),
+        **made_of(store),
+        "encoder": file_digest(weights),
         "every": config.every,
     }
-    claim(folder, NOTE, note, "perceived")
     jobs = [
         Job(
             key=int(number),
@@ -50,14 +50,15 @@ def make_perceived(config: PerceivedConfig, store: Store, folder: Path, workers:
         )
         for number in store.indices()
     ]
-    left = missing(jobs, folder)
-    if not left:
-        return
-    environment = cached_env_of(store)
-    seen = environment.observe(encoder.cameras)
-    encoder.check(environment.spec, {camera: (int(i.shape[0]), int(i.shape[1])) for camera, i in seen.images.items()})
-    encoder.perceived(_inputs([seen]))
-    run_jobs(f"perceived {folder}", left, len(jobs), workers)
+
+    def check() -> None:
+        environment = cached_env_of(store)
+        seen = environment.observe(encoder.cameras)
+        sizes = {camera: (int(i.shape[0]), int(i.shape[1])) for camera, i in seen.images.items()}
+        encoder.check(environment.spec, sizes)
+        encoder.perceived(_inputs([seen]))
+
+    make_files(folder, "perceived", note, jobs, workers, check)
 
 
 def perceive(source: str, encoder: str, out: str, index: int) -> None:

@@ -1,17 +1,21 @@
 """Render images for play that was recorded without them, or with others."""
 
 import dataclasses
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from playlearn.config import RunFolder, atomic_write
 from playlearn.episode_jobs import run_jobs
 from playlearn.errors import UsageError
 from playlearn.executor import Job
 from playlearn.process_cache import cached_env_of, cached_store
 from playlearn.sim import CameraConfig
 from playlearn.store import NativeStore, with_images, write_episode
+
+NOTE = "render.json"  # what the images were rendered of, beside store.json
 
 
 def render_store(
@@ -27,7 +31,9 @@ def render_store(
 
     Raises:
         StoreError: `source` is missing, or `out` holds something else.
-        UsageError: the environment has no such camera, or the store not so many episodes.
+        UsageError: the environment has no such camera, or the store not so many episodes; `out` was rendered of others.
+        BusyError: another process writes into `out`.
+        DiskError: the disk is full; the episodes that are done are kept.
     """
     store = NativeStore.open(source)
     known = cached_env_of(store).spec.cameras
@@ -42,6 +48,7 @@ def render_store(
     made = NativeStore.open(out) if (out / "store.json").exists() else NativeStore.create(out, spec)
     made.spec.check(spec)
     with made.writer():
+        _claim(store, out)
         done = set(made.indices().tolist())
         jobs = [
             Job(
@@ -53,6 +60,16 @@ def render_store(
             if int(index) not in done
         ]
         run_jobs(f"render {out}", jobs, len(indices), workers)
+
+
+def _claim(source: NativeStore, out: Path) -> None:
+    """Record of which episodes `out` is made; more may come, but those that are there must be the same."""
+    folder, episodes = RunFolder(out, NOTE, "rendered store", "name another OUT", entries=("episodes",)), {}
+    if folder.file.is_file():
+        episodes = json.loads(folder.file.read_text(encoding="utf-8"))["episodes"]
+    note = {"episodes": source.digests()}
+    folder.check_same({"episodes": episodes}, note)
+    atomic_write(folder.file, json.dumps({"episodes": {**episodes, **note["episodes"]}}, indent=1).encode())
 
 
 def render_episode(source: str, out: str, index: int, sizes: Mapping[str, Sequence[int]]) -> None:

@@ -9,14 +9,13 @@ from numpy.typing import NDArray
 
 from playlearn.data.scenes import KEYPOINTS, ScenesConfig
 from playlearn.episode import IMAGES, Array
-from playlearn.episode_jobs import missing, run_jobs
+from playlearn.episode_jobs import made_of, make_files
 from playlearn.errors import UsageError
 from playlearn.executor import Job
 from playlearn.layout import ObjectLayout
 from playlearn.process_cache import cached_env_of, cached_note, cached_store
 from playlearn.sim import Environment
 from playlearn.store import Store, episode_path
-from playlearn.store.folder import claim
 from playlearn.store.tensors import write_tensors
 
 NOTE = "scenes.json"
@@ -52,14 +51,15 @@ def render_scenes(
 
     Raises:
         UsageError: `folder` was made with other settings, or the store's environment cannot be rearranged or rendered.
-        StoreError: the store lacks simulator states, or the disk is full.
+        StoreError: the store lacks simulator states.
+        BusyError: another process makes them.
+        DiskError: the disk is full.
     """
     note = {
-        "store": dict(store.spec.environment),
+        **made_of(store),
         "sizes": scene_sizes(store, cameras),
         **{name: getattr(config, name) for name in ("per_episode", "rearranged", "seed")},
     }
-    claim(folder, NOTE, note, "scenes")
     jobs = [
         Job(
             key=int(number),
@@ -73,7 +73,7 @@ def render_scenes(
         )
         for number, held_out in zip(store.indices(), val_mask, strict=True)
     ]
-    run_jobs(f"scenes {folder}", missing(jobs, folder), len(jobs), workers)
+    make_files(folder, "scenes", note, jobs, workers)
 
 
 def scene_sizes(store: Store, cameras: Sequence[str]) -> dict[str, tuple[int, int]]:

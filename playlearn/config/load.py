@@ -7,6 +7,7 @@ from typing import Any
 
 import yaml
 
+from playlearn.config.paths import found, from_file, moved, spelled_from
 from playlearn.config.record import atomic_write
 from playlearn.config.schema import TYPE, Problem, build, complete, encode, format_value, nearest
 from playlearn.errors import UsageError
@@ -37,9 +38,9 @@ def load_config[T](cls: type[T], path: Path | None, overrides: Sequence[str] = (
     return config
 
 
-def to_dict(config: Any) -> dict[str, Any]:
-    """The config as JSON: every field, kinds with their `type`."""
-    encoded: dict[str, Any] = encode(config)
+def to_dict(config: Any, folder: Path | None = None) -> dict[str, Any]:
+    """The config as JSON: every field, kinds with their `type`. folder: of the file that it is for, see `paths`."""
+    encoded: dict[str, Any] = encode(config, str if folder is None else spelled_from(folder))
     return encoded
 
 
@@ -53,8 +54,42 @@ def from_dict[T](cls: type[T], raw: Mapping[str, Any]) -> T:
 
 
 def save_config(config: Any, path: Path) -> None:
-    """Write the resolved config as YAML that `load_config` reads back."""
-    atomic_write(path, yaml.dump(to_dict(config), Dumper=_Dumper, sort_keys=False, allow_unicode=True).encode())
+    """Write the resolved config as YAML that `load_config` reads back, its paths as `paths` says."""
+    atomic_write(path, _dump(to_dict(config, path.parent)))
+
+
+def copy_config(source: Path, target: Path) -> None:
+    """Copy a file that `save_config` wrote, so that its paths mean the same in the other folder."""
+    raw = _yaml(source.read_text(encoding="utf-8"), str(source))
+    atomic_write(target, _dump(moved(raw, source.parent, target.parent)))
+
+
+def read_config(path: Path) -> dict[str, Any]:
+    """The mapping in a config file, its paths found; for one of which only a part is wanted.
+
+    Raises:
+        UsageError: no such file, not YAML, not a mapping.
+    """
+    raw: dict[str, Any] = found(_read(path))
+    return raw
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        raw = _yaml(path.read_text(encoding="utf-8"), str(path))
+    except FileNotFoundError:
+        siblings = sorted(file.name for file in path.parent.glob("*.yaml")) if path.parent.is_dir() else []
+        raise UsageError(f"there is no config {path}{nearest(path.name, siblings)}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"cannot read the config {path}: {error}") from error
+    if raw is None and not path.stat().st_size:
+        raise UsageError(f"{path} is empty: was the disk full when it was written? A config without fields is `{{}}`")
+    if raw is None:
+        return {}
+    if not isinstance(raw, dict):
+        raise UsageError(f"{path}: a config is a mapping of fields, not {format_value(raw)}")
+    marked: dict[str, Any] = from_file(path.parent, raw)
+    return marked
 
 
 def to_yaml(value: Any) -> str:
@@ -70,19 +105,9 @@ def _blame(problem: Problem, given: Sequence[tuple[tuple[str, ...], Any]], where
     return "" if any(keys[: len(problem.path)] == problem.path for keys, _ in given) else where
 
 
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        raw = _yaml(path.read_text(encoding="utf-8"), str(path))
-    except FileNotFoundError:
-        siblings = sorted(file.name for file in path.parent.glob("*.yaml")) if path.parent.is_dir() else []
-        raise UsageError(f"there is no config {path}{nearest(path.name, siblings)}") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"cannot read the config {path}: {error}") from error
-    if raw is None:
-        return {}
-    if not isinstance(raw, dict):
-        raise UsageError(f"{path}: a config is a mapping of fields, not {format_value(raw)}")
-    return raw
+def _dump(raw: Mapping[str, Any]) -> bytes:
+    text: str = yaml.dump(raw, Dumper=_Dumper, sort_keys=False, allow_unicode=True)
+    return text.encode()
 
 
 def _yaml(text: str, source: str) -> Any:

@@ -10,8 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from playlearn.config.digests import Digests, input_changes
+from playlearn.config.held import LOCK
+from playlearn.config.record import atomic_write
 from playlearn.errors import UsageError
 
+INPUTS = "inputs.json"  # what the job reads, by digest
 _TEMPORARY = ".tmp"  # how `atomic_write` ends the name of a file that is not whole yet
 
 
@@ -69,6 +73,7 @@ class RunFolder:
         """
         before, now = _plain(before), _plain(now)
         for name in self.entries:
+            before = {name: {}, **before}  # of a folder from before there was that setting
             shared = before[name].keys() & now[name].keys()
             before, now = ({**one, name: {key: one[name][key] for key in shared}} for one in (before, now))
         names = [name for name in differences(before, now) if not self._adjustable(name)]
@@ -77,8 +82,31 @@ class RunFolder:
                 f"{self.path} was begun with another {', '.join(names)}: give the same, or {self.elsewhere}"
             )
 
+    def keep_inputs(self, inputs: Digests) -> None:
+        """Record what the job reads; called before its own record is written."""
+        atomic_write(self.path / INPUTS, json.dumps(inputs, indent=1).encode())
+
+    def inputs(self) -> Digests:
+        """What `keep_inputs` recorded last; empty where it did not."""
+        file = self.path / INPUTS
+        recorded: Digests = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+        return recorded
+
+    def check_inputs(self, now: Digests) -> None:
+        """Compare what the job reads to what it read when it was begun; of what only one of the two reads, nothing.
+
+        Raises:
+            UsageError: it is not the same; names the settings, and what was added, removed or changed.
+        """
+        changes = input_changes(self.inputs(), now)
+        if changes:
+            raise UsageError(
+                f"{self.path} was begun with other inputs: {'; '.join(changes)}. Put it back as it was, "
+                f"or {self.elsewhere}"
+            )
+
     def _foreign(self, path: Path) -> bool:
-        return path.name not in self.leftovers and path.suffix != _TEMPORARY
+        return path.name not in (LOCK, INPUTS, *self.leftovers) and path.suffix != _TEMPORARY
 
     def _adjustable(self, name: str) -> bool:
         return any(name == one or name.startswith(f"{one}.") for one in self.adjustable)

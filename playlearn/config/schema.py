@@ -5,13 +5,14 @@ import difflib
 import math
 import types
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
 import draccus
 from draccus.utils import DraccusException
 
+from playlearn.config.paths import FileText, unmarked
 from playlearn.errors import UsageError
 
 TYPE = "type"
@@ -62,24 +63,27 @@ def complete(cls: Any, raw: Mapping[str, Any], default: Mapping[str, Any] | None
     return full
 
 
-def encode(value: Any) -> Any:
-    """A config or a part of it as JSON (draccus.encode forgets the kinds in a tuple, and of a kind by itself)."""
+def encode(value: Any, path: Callable[[Path], str] = str) -> Any:
+    """A config or a part of it as JSON (draccus.encode forgets the kinds in a tuple, and of a kind by itself).
+
+    path: how a path is spelled.
+    """
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         cls: Any = type(value)
         kind = {TYPE: cls.get_choice_name(cls)} if _is_choice(cls) else {}
-        return kind | {field.name: encode(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        return kind | {field.name: encode(getattr(value, field.name), path) for field in dataclasses.fields(value)}
     if isinstance(value, Mapping):
-        return {str(key): encode(item) for key, item in value.items()}
+        return {str(key): encode(item, path) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [encode(item) for item in value]
-    return str(value) if isinstance(value, Path) else value
+        return [encode(item, path) for item in value]
+    return path(value) if isinstance(value, Path) else value
 
 
 def build(cls: Any, raw: Any, path: tuple[str, ...]) -> Any:
     """The value of type `cls` that `raw` describes; raises Problem at the first thing that is wrong."""
     origin, arguments = get_origin(cls), get_args(cls)
     if cls is Any:
-        return raw
+        return unmarked(raw)
     if origin in (typing.Union, types.UnionType):
         return _build_union(arguments, raw, path)
     if dataclasses.is_dataclass(cls) or _is_choice(cls):
@@ -155,6 +159,8 @@ def _build_sequence(cls: Any, raw: Any, path: tuple[str, ...]) -> Any:
 
 
 def _build_leaf(cls: Any, raw: Any, path: tuple[str, ...]) -> Any:
+    if isinstance(raw, FileText):
+        raw = raw.found() if cls is Path else str(raw)
     # draccus accepts null, true or a list for a number or a text; in a config that is a mistake.
     allowed = {int: (int,), float: (int, float), bool: (bool,), str: (str,), Path: (str, Path)}.get(cls)
     wrong = Problem(path, f"{_name(path)} must be {_expected(cls)}, not {format_value(raw)}")

@@ -19,7 +19,21 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from playlearn.config import RunFolder, atomic_write, git_revision, load_config, save_config, to_dict, versions
+from playlearn.config import (
+    Digests,
+    RunFolder,
+    atomic_write,
+    copy_config,
+    git_revision,
+    held,
+    json_digest,
+    load_config,
+    make_folder,
+    save_config,
+    spelled_from,
+    to_dict,
+    versions,
+)
 from playlearn.dagger.actor import InterventionRule
 from playlearn.dagger.config import ADJUSTABLE, DaggerConfig
 from playlearn.dagger.gather import GatherContext
@@ -30,7 +44,7 @@ from playlearn.data.perceived import PerceivedConfig
 from playlearn.errors import MissingRunError, PlaylearnError, UsageError
 from playlearn.evaluation import TrainedRecipe, evaluate, load_suite, scripted
 from playlearn.evaluation.suite import derived_seed, goal_from
-from playlearn.policies import Policy
+from playlearn.policies import Policy, policy_digests
 from playlearn.process_cache import cached_env
 from playlearn.store import open_store
 from playlearn.training import TrainConfig, train
@@ -53,17 +67,21 @@ def dagger(
     Returns the contents of results.json.
 
     Raises:
-        UsageError: a setting does not fit the run; `out` is taken or, with `resume`, was begun with another config.
+        UsageError: a setting does not fit the run; `out` is taken or, with `resume`, was begun with another config or
+            other data.
+        BusyError: another process writes into `out`.
+        DiskError: the disk is full; what was finished is kept.
         CheckpointError: there is no such run, or the suites are not of its environment.
         PlaylearnError: no episode of a round reached its goal.
     """
     job = _Job(config, run, out, workers, expert or scripted)
     job.check()
-    _claim(config, run, out, resume=resume)
-    rows = [job.start()]
-    for number in range(1, config.rounds + 1):
-        rows.append(job.round(number, rows))
-        results = job.write(rows)
+    with held(out):
+        _claim(job, resume=resume)
+        rows = [job.start()]
+        for number in range(1, config.rounds + 1):
+            rows.append(job.round(number, rows))
+            results = job.write(rows)
     return results
 
 
@@ -137,6 +155,19 @@ class _Job:
                     "uncertain; use `gate.type: distance`, or train a head that samples"
                 )
 
+    def inputs(self) -> Digests:
+        """What all rounds read, by digest."""
+        config = self.config
+        inputs: dict[str, Mapping[str, str]] = {
+            "store of the run": open_store(self.training.store).digests(),
+            "policy of the run": policy_digests(self.run),
+            "suites": {
+                "rollout_suite": json_digest(to_dict(self.suite, self.out)),
+                "suite": json_digest(to_dict(self.eval_suite, self.out)),
+            },
+        }
+        return inputs if config.encoder is None else {**inputs, "encoder": policy_digests(config.encoder)}
+
     def start(self) -> dict[str, Any]:
         """Row 0: the policy that the run starts from."""
         folder = self.out / "rounds" / "0"
@@ -149,7 +180,7 @@ class _Job:
         config, folder = self.config, self.out / "rounds" / str(number)
         if (folder / ROW).is_file():
             return _read(folder / ROW)
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         began, last = time.perf_counter(), self.run if number == 1 else self.out / "rounds" / str(number - 1) / "train"
         row = {
             "round": number,
@@ -243,7 +274,7 @@ class _Job:
 
     def done(self, folder: Path, row: dict[str, Any]) -> dict[str, Any]:
         """Save the row: from now on the round is done."""
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         atomic_write(folder / ROW, json.dumps(row, indent=1).encode())
         print(line(row), file=sys.stderr, flush=True)
         return row
@@ -252,7 +283,7 @@ class _Job:
         """All rows, and the last round's policy as that of `out`. Returns the contents of results.json."""
         last = self.out / "rounds" / str(rows[-1]["round"]) / "train"
         Policy.load(last / "policy").save(self.out / "policy")
-        atomic_write(self.out / "config.yaml", (last / "config.yaml").read_bytes())
+        copy_config(last / "config.yaml", self.out / "config.yaml")
         results = {
             "rounds": rows,
             "start": str(self.run),
@@ -267,14 +298,16 @@ class _Job:
         return results
 
 
-def _claim(config: DaggerConfig, run: Path, out: Path, *, resume: bool) -> None:
+def _claim(job: _Job, *, resume: bool) -> None:
     """Make `out` this job's; raises UsageError where it is something else's."""
+    config, out = job.config, job.out
     folder = RunFolder(out, CONFIG, "DAgger run", adjustable=ADJUSTABLE, leftovers=(NOTE,))
-    note = {"run": str(run)}
+    note, inputs = {"run": spelled_from(out)(job.run)}, job.inputs()
     if folder.begun(resume=resume):
-        before = to_dict(load_config(DaggerConfig, folder.file))
-        folder.check_same({**before, **_read(out / NOTE)}, {**to_dict(config), **note})
-    out.mkdir(parents=True, exist_ok=True)
+        before = to_dict(load_config(DaggerConfig, folder.file), out)
+        folder.check_same({**before, **_read(out / NOTE)}, {**to_dict(config, out), **note})
+        folder.check_inputs(inputs)
+    folder.keep_inputs(inputs)
     atomic_write(out / NOTE, json.dumps(note).encode())
     save_config(config, folder.file)
 

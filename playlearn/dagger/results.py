@@ -6,6 +6,7 @@ from typing import Any
 
 from playlearn.dagger.rollouts import RolloutRecord
 from playlearn.report.compared import AMBER, BLUE, GRAY
+from playlearn.report.figure import save_figure
 
 Row = Mapping[str, Any]
 _EVALUATION = ("success_rate", "ci95", "strict_rate", "strict_ci95", "episodes", "crashed")
@@ -73,7 +74,7 @@ def plot(rows: Sequence[Row], path: Path) -> None:
     for axes in (success, spent):
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(path, dpi=130)
+    save_figure(figure, path, dpi=130)
 
 
 def _count(reasons: Any) -> dict[str, int]:

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from playlearn.collection.store import store_spec
-from playlearn.config import atomic_write
+from playlearn.config import atomic_write, make_folder
 from playlearn.dagger.actor import DaggerActor, InterventionRule
 from playlearn.episode import Observation
 from playlearn.errors import PlaylearnError, UsageError
@@ -82,7 +82,7 @@ def collect_rollouts(
     """
     store, notes = out / "play", out / "rollouts"
     make_store(spec.suite, spec.recorded, store)
-    notes.mkdir(parents=True, exist_ok=True)
+    make_folder(notes)
     size = spec.suite.num_envs
     batches = [tuple(numbers[i : i + size]) for i in range(0, len(numbers), size)]
     jobs = [

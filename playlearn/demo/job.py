@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from playlearn.config import RunFolder, atomic_write, git_revision, load_config, to_dict, versions
+from playlearn.config import RunFolder, atomic_write, file_digest, git_revision, held, load_config, to_dict, versions
 from playlearn.demo.checks import success_problem, training_problem
 from playlearn.demo.commands import Done, run_together
 from playlearn.demo.config import Cost, DemoConfig
@@ -41,17 +41,20 @@ def demo(config: DemoConfig, out: Path, *, steps: int | None = None, say: Callab
     steps: updates of every training, in place of their configs'.
 
     Raises:
-        UsageError: `out` holds something else, or a config is missing.
+        UsageError: `out` holds something else or was begun with other configs, or a config is missing.
+        BusyError: another process runs it there.
+        DiskError: the disk is full; the stages that are done are kept.
         PlaylearnError: a stage failed or learned nothing; the message says which and why.
         KeyboardInterrupt: on Ctrl-C; the same call continues.
     """
     job = _Demo(config, out, steps, say or _print)
-    job.claim()
-    job.estimate()
-    job.collect()
-    job.learn()
-    job.dagger()
-    job.evaluate()
+    with held(out):
+        job.claim()
+        job.estimate()
+        job.collect()
+        job.learn()
+        job.dagger()
+        job.evaluate()
 
 
 @dataclass(eq=False)
@@ -69,12 +72,16 @@ class _Demo:
 
     def claim(self) -> None:
         """Find what is done; raises UsageError where `out` was begun with another config."""
-        folder, given = RunFolder(self.out, RECORD, "demo"), {**to_dict(self.config), "steps": self.steps}
+        config, folder = self.config, RunFolder(self.out, RECORD, "demo")
+        given = {**to_dict(config, self.out), "steps": self.steps}
+        files = {name: getattr(config, name) for name in ("collect", "state", "encoder", "dagger", "suite")}
+        inputs = {name: {path.name: file_digest(path)} for name, path in files.items()}
         if folder.begun():
             self.record = json.loads(folder.file.read_text())
             folder.check_same(self.record["config"], given)
+            folder.check_inputs(inputs)
             return
-        self.out.mkdir(parents=True, exist_ok=True)
+        folder.keep_inputs(inputs)
         self.record = {"config": given, "versions": versions(), "git_revision": git_revision(), "stages": {}}
         self.write()  # from now on this is a demo's folder, wherever it is interrupted
 

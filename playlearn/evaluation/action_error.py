@@ -5,9 +5,8 @@ from typing import Any
 
 import numpy as np
 import torch
-import yaml
 
-from playlearn.config import from_dict
+from playlearn.config import from_dict, read_config
 from playlearn.data import DataConfig, PlayDataset
 from playlearn.episode import read_annotation
 from playlearn.errors import StoreError
@@ -25,7 +24,7 @@ def action_errors(run: Path) -> dict[str, Any]:
     """
     empty: dict[str, Any] = {"skills": {}, "examples": 0, "note": ""}
     path = run / "config.yaml"
-    raw = yaml.safe_load(path.read_text()) if path.is_file() else None
+    raw = read_config(path) if path.is_file() else None
     missing = empty | {"note": "not measured: the run's play is not there"}
     if not raw:
         return missing

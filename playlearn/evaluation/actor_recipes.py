@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
-from playlearn.config import atomic_write, to_dict
+from playlearn.config import atomic_write, copy_config, held, to_dict
 from playlearn.errors import CheckpointError, MissingRunError, UsageError
 from playlearn.evaluation.suite import SuiteConfig
 from playlearn.policies import Policy
@@ -225,10 +225,12 @@ _ARTICLE = {"image": "an image", "state": "a state"}
 
 def join_runs(run: Path, encoder: Path, out: Path) -> None:
     """Merge the run of a state policy and the run of its image encoder into one run."""
-    load_policy(run / "policy", encoder / "policy").save(out / "policy")
-    for name in ("config.yaml", "run.json"):
-        if (encoder / name).is_file():
-            atomic_write(out / name, (encoder / name).read_bytes())
+    with held(out):
+        load_policy(run / "policy", encoder / "policy").save(out / "policy")
+        if (encoder / "config.yaml").is_file():
+            copy_config(encoder / "config.yaml", out / "config.yaml")
+        if (encoder / "run.json").is_file():
+            atomic_write(out / "run.json", (encoder / "run.json").read_bytes())
 
 
 @cache

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from playlearn.config import atomic_write, to_dict, versions
-from playlearn.errors import PlaylearnError, UsageError
+from playlearn.config import atomic_write_all, held, to_dict, versions
+from playlearn.errors import PlaylearnError
 from playlearn.evaluation.action_error import action_errors
 from playlearn.evaluation.actor_recipes import ActorRecipe, ExpertRecipe, scripted, trained
 from playlearn.evaluation.failure_modes import (
@@ -86,33 +86,31 @@ def diagnose(
     policy_recipe.check()
     expert_recipe = ExpertRecipe(expert or scripted)
     failure_modes = failure_modes or FailureModesConfig()
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"cannot write to --out {out}: {error.strerror}; name a folder") from error
-    with LocalExecutorConfig(workers=workers).build() as executor:
+    with held(out), LocalExecutorConfig(workers=workers).build() as executor:
         diagnosed = _run_batches(config, (policy_recipe, expert_recipe), expert_recipe, failure_modes, executor)
         policy_rows = [row for row in diagnosed.episode_results if row.policy == policy_recipe.name]
         expert_rows = [row for row in diagnosed.episode_results if row.policy == expert_recipe.name]
         failed = [row for row in last_goals(policy_rows) if not row.success]
         strips, note = _strips(config, failed, diagnosed, executor)
-    results = {
-        "suite": config.name,
-        "run": str(run),
-        "goal_modality": goal,
-        **summary(policy_rows),
-        "expert": summary(expert_rows),
-        "failure_modes": _failure_modes(failed, diagnosed.reports, len(last_goals(policy_rows))),
-        "by_expert_seconds": _by_expert_seconds(policy_rows, expert_rows, diagnosed.fps),
-        "action_error": action_errors(run),
-        "failures": [_failure(row, diagnosed.reports) for row in failed],
-        "seed": config.seed,
-        "versions": versions(),
-        "config": {"suite": to_dict(config), "failure_modes": to_dict(failure_modes)},
-        "seconds": round(time.perf_counter() - started, 3),
-    }
-    atomic_write(out / "diagnosis.json", json.dumps(results, indent=1).encode())
-    atomic_write(out / "diagnosis.html", diagnosis_page(results, FAILURE_MODES, strips, note).encode())
+        results = {
+            "suite": config.name,
+            "run": str(run),
+            "goal_modality": goal,
+            **summary(policy_rows),
+            "expert": summary(expert_rows),
+            "failure_modes": _failure_modes(failed, diagnosed.reports, len(last_goals(policy_rows))),
+            "by_expert_seconds": _by_expert_seconds(policy_rows, expert_rows, diagnosed.fps),
+            "action_error": action_errors(run),
+            "failures": [_failure(row, diagnosed.reports) for row in failed],
+            "seed": config.seed,
+            "versions": versions(),
+            "config": {"suite": to_dict(config), "failure_modes": to_dict(failure_modes)},
+            "seconds": round(time.perf_counter() - started, 3),
+        }
+        html = diagnosis_page(results, FAILURE_MODES, strips, note)
+        atomic_write_all(
+            {out / "diagnosis.json": json.dumps(results, indent=1).encode(), out / "diagnosis.html": html.encode()}
+        )
     return results
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from playlearn.config import atomic_write, git_revision, to_dict, versions
+from playlearn.config import atomic_write_all, git_revision, held, to_dict, versions
 from playlearn.config.schema import nearest
 from playlearn.errors import PlaylearnError, UsageError
 from playlearn.evaluation.actor_recipes import ActorRecipe, ExpertRecipe, RandomRecipe, scripted, trained
@@ -64,6 +64,8 @@ def evaluate(
     Raises:
         UsageError: arguments, suite or goal modality are wrong.
         CheckpointError: there is no such run, or it was made for another environment.
+        BusyError: another process writes into `out`.
+        DiskError: the disk is full; an earlier evaluation in `out` is whole.
         PlaylearnError: the suite cannot be set up.
     """
     started = time.perf_counter()
@@ -71,8 +73,20 @@ def evaluate(
     expert_recipe = ExpertRecipe(expert or scripted)
     recipes = _recipes(config, run, encoder, policy, goal, expert_recipe, references=references)
     executor = LocalExecutorConfig(workers=workers).build()
-    _make_folder(out)
+    with held(out):
+        return _run(config, recipes, expert_recipe, executor, goal, out, started)
 
+
+def _run(
+    config: SuiteConfig,
+    recipes: Sequence[ActorRecipe],
+    expert_recipe: ExpertRecipe,
+    executor: Executor,
+    goal: str,
+    out: Path,
+    started: float,
+) -> dict[str, Any]:
+    """Evaluate and write into `out`."""
     main = recipes[0].name
     with executor:
         gathered = _evaluate(config, recipes, expert_recipe, executor)
@@ -97,9 +111,13 @@ def evaluate(
     }
     longest = max(config.max_steps, *(row.steps for row in gathered.episode_results))
     curves = {name: curve(grouped[name], longest) for name in grouped}
-    atomic_write(out / "episodes.parquet", parquet([row for rows in grouped.values() for row in rows]))
-    atomic_write(out / "report.html", page(results, curves, gathered.spec.fps, shown, note).encode())
-    atomic_write(out / "results.json", json.dumps(results, indent=2).encode())
+    atomic_write_all(
+        {
+            out / "episodes.parquet": parquet([row for rows in grouped.values() for row in rows]),
+            out / "report.html": page(results, curves, gathered.spec.fps, shown, note).encode(),
+            out / "results.json": json.dumps(results, indent=2).encode(),
+        }
+    )
     return results
 
 
@@ -213,10 +231,3 @@ def _recipes(
         return [evaluated, *(known.values() if references else ())]
     reference = known.pop(str(policy))
     return [reference, *(known.values() if references else ())]
-
-
-def _make_folder(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"cannot write to --out {out}: {error.strerror}; name a folder") from error

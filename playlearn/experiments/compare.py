@@ -16,14 +16,28 @@ import numpy as np
 import torch
 
 from playlearn.batch import Inputs
-from playlearn.config import RunFolder, atomic_write, git_revision, load_config, save_config, to_dict, versions
+from playlearn.config import (
+    Digests,
+    RunFolder,
+    atomic_write,
+    atomic_write_all,
+    git_revision,
+    held,
+    json_digest,
+    load_config,
+    make_folder,
+    save_config,
+    to_dict,
+    versions,
+)
 from playlearn.errors import NotLearnedError, PlaylearnError, UsageError
-from playlearn.evaluation import evaluate
+from playlearn.evaluation import evaluate, load_suite
 from playlearn.executor import Job, LocalExecutorConfig
 from playlearn.policies import Policy
 from playlearn.report.compared import plot, table
 from playlearn.report.intervals import wilson
 from playlearn.report.progress import Progress
+from playlearn.store import open_store
 from playlearn.training import TrainConfig, train
 
 Row = dict[str, Any]
@@ -36,7 +50,7 @@ class CompareConfig:
 
     base: YAML of the training config that all variants start from.
     suite: what all are evaluated on.
-    variants: name -> the fields in which each differs (`policy.head.type: diffusion`).
+    variants: name -> the fields in which each differs (`policy.head.type: diffusion`), as on the command line.
     common: fields of `base` that are set differently here, for all.
     goal: how goals are shown.
     episodes: of each evaluation.
@@ -71,13 +85,22 @@ def compare(config: CompareConfig, out: Path, workers: int | None = None) -> lis
     Returns one row a variant.
 
     Raises:
-        UsageError: a variant's config is wrong, or `out` holds another comparison.
+        UsageError: a variant's config is wrong, or `out` holds another comparison or one on other data.
+        BusyError: another process writes into `out`.
+        DiskError: the disk is full; the runs that are done are kept.
         PlaylearnError: a run failed; the others are kept, and the same command continues from there.
     """
     if not config.variants or not config.seeds:
         raise UsageError("there is nothing to compare: give `variants` and `seeds`")
     runs = {(name, seed): config.training(name, seed) for name in config.variants for seed in config.seeds}
-    _claim(config, out)
+    with held(out):
+        _claim(config, runs, out)
+        return _run(config, runs, out, workers)
+
+
+def _run(
+    config: CompareConfig, runs: Mapping[tuple[str, int], TrainConfig], out: Path, workers: int | None
+) -> list[Row]:
     jobs = [
         Job(key, _one, {"training": training, "folder": _folder(out, *key), "compare": config}, seed=key[1])
         for key, training in sorted(runs.items(), key=lambda item: config.seeds.index(item[0][1]))
@@ -108,19 +131,38 @@ def compare(config: CompareConfig, out: Path, workers: int | None = None) -> lis
         "versions": versions(),
         "git_revision": git_revision(),
     }
-    atomic_write(out / "results.json", json.dumps(results, indent=1, default=str).encode())
-    atomic_write(out / "table.md", table(gathered).encode())
+    atomic_write_all(
+        {
+            out / "results.json": json.dumps(results, indent=1, default=str).encode(),
+            out / "table.md": table(gathered).encode(),
+        }
+    )
     plot(gathered, out / "plot.png")
     return gathered
 
 
-def _claim(config: CompareConfig, out: Path) -> None:
+def _claim(config: CompareConfig, runs: Mapping[tuple[str, int], TrainConfig], out: Path) -> None:
     # A variant or a seed may be added or left out; the runs that are there stay.
     folder = RunFolder(out, "compare.yaml", "comparison", adjustable=("seeds",), entries=("variants",))
+    inputs = _inputs(config, runs, out)
     if folder.begun():
-        folder.check_same(to_dict(load_config(CompareConfig, folder.file)), to_dict(config))
-    out.mkdir(parents=True, exist_ok=True)
+        folder.check_same(to_dict(load_config(CompareConfig, folder.file), out), to_dict(config, out))
+        folder.check_inputs(inputs)
+    folder.keep_inputs({**folder.inputs(), **inputs})
     save_config(config, folder.file)
+
+
+def _inputs(config: CompareConfig, runs: Mapping[tuple[str, int], TrainConfig], out: Path) -> Digests:
+    """What the runs read, by digest: their training configs, all of which start from `base`, the suite and the play."""
+    stores = {json.dumps(to_dict(training, out)["store"]): training.store for training in runs.values()}
+    return {
+        "suite": {config.suite.name: json_digest(to_dict(load_suite(config.suite), out))},
+        **{
+            f"{name}, seed {seed}": {"training config": json_digest(to_dict(run, out))}
+            for (name, seed), run in runs.items()
+        },
+        **{f"store {name}": open_store(store).digests() for name, store in stores.items()},
+    }
 
 
 def _folder(out: Path, name: str, seed: int) -> Path:
@@ -133,7 +175,7 @@ def _one(training: TrainConfig, folder: Path, compare: CompareConfig) -> Row:
     if done.is_file():
         row: Row = json.loads(done.read_text())
         return row
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     with (folder.parent / f"{folder.name}.log").open("a") as log, contextlib.redirect_stderr(log):
         began, resumed = time.process_time(), (folder / "config.yaml").is_file()
         try:

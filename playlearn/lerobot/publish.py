@@ -1,11 +1,10 @@
 """Export a trained policy in the Hub's format: config.json, model.safetensors, processors and a card."""
 
 import json
-import shutil
 from dataclasses import asdict
 from pathlib import Path
 
-from playlearn.config import to_dict
+from playlearn.config import built_beside, to_dict
 from playlearn.errors import StoreError, UsageError
 from playlearn.policies import Policy
 from playlearn.report.template import template
@@ -17,7 +16,8 @@ def export_policy(run: Path, out: Path) -> None:
     Raises:
         MissingRunError: there is no policy at `run`.
         UsageError: `out` is taken, or the policy does not act.
-        StoreError: it cannot be written.
+        BusyError: another process exports to `out`.
+        DiskError: it cannot be written; nothing was left there.
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise UsageError(f"{out} already exists: name another folder")
@@ -41,10 +41,8 @@ def export_policy(run: Path, out: Path) -> None:
     )
     exported = PlaylearnPolicy(config)
     exported.policy.load_state_dict(policy.state_dict())
-    building = out.with_name(f".{out.name}.building")
-    shutil.rmtree(building, ignore_errors=True)
-    try:
-        building.mkdir(parents=True)
+    with built_beside(out) as building:
+        building.mkdir()
         exported.save_pretrained(building)
         for pipeline in make_playlearn_pre_post_processors(config):
             pipeline.save_pretrained(building)
@@ -54,8 +52,3 @@ def export_policy(run: Path, out: Path) -> None:
         written, read = policy.state_dict(), back.policy.state_dict()
         if any(not bool((written[name] == read[name]).all()) for name in written):
             raise StoreError("other weights were read back than were written: please report this as a bug")
-        building.replace(out)
-    except OSError as error:
-        raise StoreError(f"{out} cannot be written ({error.strerror or error}): nothing was left there") from error
-    finally:
-        shutil.rmtree(building, ignore_errors=True)

@@ -3,7 +3,7 @@
 from playlearn.policies.encoders import EncoderConfig
 from playlearn.policies.execution import PolicyActor
 from playlearn.policies.heads import HeadConfig
-from playlearn.policies.policy import Policy, PolicyConfig
+from playlearn.policies.policy import Policy, PolicyConfig, policy_digests
 from playlearn.policies.spec import PolicySpec
 from playlearn.policies.trunks import TrunkConfig
 
@@ -15,4 +15,5 @@ __all__ = [
     "PolicyConfig",
     "PolicySpec",
     "TrunkConfig",
+    "policy_digests",
 ]

@@ -10,7 +10,7 @@ from safetensors import safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from playlearn.config import atomic_write
+from playlearn.config import atomic_write, make_folder
 from playlearn.errors import CheckpointError
 
 NOTE = "playlearn"
@@ -31,7 +31,7 @@ def save_checkpoint(
         tensors |= {f"{prefix}.{name}": value for name, value in module.state_dict().items()}
     for number, state in optimizer.state_dict()["state"].items():
         tensors |= {f"optimizer.{number}.{name}": value for name, value in state.items()}
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     flat = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
     atomic_write(path, save(flat, metadata={NOTE: json.dumps(note)}))
 

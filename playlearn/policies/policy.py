@@ -12,7 +12,7 @@ from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
 from playlearn.batch import Batch, Inputs, Statistics
-from playlearn.config import atomic_write, from_dict, to_dict
+from playlearn.config import atomic_write_all, file_digest, from_dict, make_folder, to_dict
 from playlearn.errors import CheckpointError, MissingRunError, PlaylearnError, UsageError
 from playlearn.policies.checkpoint import first_not_finite
 from playlearn.policies.encoders import EncoderConfig, StateConfig
@@ -273,11 +273,11 @@ class Policy(nn.Module):
         self.spec.check(spec, cameras, self.cameras)
 
     def save(self, path: Path) -> None:
-        """Write `policy.json` and `policy.safetensors` into the folder, each atomically."""
-        path.mkdir(parents=True, exist_ok=True)
+        """Write `policy.json` and `policy.safetensors` into the folder, both or neither."""
+        make_folder(path)
         description = {"format": FORMAT, "config": to_dict(self.config), "spec": asdict(self.spec)}
-        atomic_write(path / DESCRIPTION, json.dumps(description, indent=2).encode())
-        atomic_write(path / WEIGHTS, save({name: value.contiguous() for name, value in self.state_dict().items()}))
+        weights = save({name: value.contiguous() for name, value in self.state_dict().items()})
+        atomic_write_all({path / WEIGHTS: weights, path / DESCRIPTION: json.dumps(description, indent=2).encode()})
 
     @classmethod
     def load(cls, path: Path, device: str | torch.device = "cpu") -> "Policy":
@@ -357,6 +357,11 @@ class Policy(nn.Module):
                 if camera in inputs.goal_images
             },
         )
+
+
+def policy_digests(run: Path) -> dict[str, str]:
+    """The digests of the files of a run's policy: the same as long as it was not trained again."""
+    return {name: file_digest(run / "policy" / name) for name in (WEIGHTS, DESCRIPTION)}
 
 
 def _with_keypoints(normal: Inputs, batch: Batch) -> Inputs:

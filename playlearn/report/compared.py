@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from playlearn.report.figure import save_figure
+
 Row = Mapping[str, Any]
 PERIOD = 50  # ms, of control at 20 Hz
 BLUE, GRAY, AMBER = "#2a6f97", "#9aa5b1", "#edae49"
@@ -59,4 +61,4 @@ def plot(rows: Sequence[Row], path: Path) -> None:
     latency.axvline(PERIOD, color=AMBER, lw=1)
     for axes in (success, training, latency):
         axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(path, dpi=130)
+    save_figure(figure, path, dpi=130)

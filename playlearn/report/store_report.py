@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from playlearn.config import atomic_write
+from playlearn.config import atomic_write, make_folder
 from playlearn.episode import IMAGES, STORED
 from playlearn.errors import RenderError, UsageError
 from playlearn.report.play import figures
@@ -45,7 +45,7 @@ def write_report(store: Store, path: Path, build: Callable[[], Environment]) -> 
     kind = KINDS.get(path.suffix)
     if kind is None:
         raise UsageError(f"{path}: a report is one of {', '.join(f'*{suffix}' for suffix in KINDS)}")
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     atomic_write(path, kind(_Report(store, build)))
 
 

@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from playlearn.config import make_folder
 from playlearn.episode import IMAGES, Array, read_annotation
 from playlearn.layout import ObjectLayout
 from playlearn.relabeling import RelabelIndex, SettlingConfig
 from playlearn.relabeling.robot import RobotReader
 from playlearn.relabeling.settling import thresholds
+from playlearn.report.figure import save_figure
 from playlearn.report.strips import COLORS, mark_name
 from playlearn.store import Store
 
@@ -52,8 +54,8 @@ def timeline(store: Store, episode: int, out: Path, settling: SettlingConfig | N
         StoreError: there is no such episode.
     """
     figure = drawing(store, episode, settling or SettlingConfig())
-    out.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out, dpi=110, format="png")
+    make_folder(out.parent)
+    save_figure(figure, out, dpi=110)
     return out
 
 

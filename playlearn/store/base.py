@@ -12,6 +12,7 @@ import draccus
 import numpy as np
 from numpy.typing import NDArray
 
+from playlearn.config import json_digest
 from playlearn.episode import IMAGES, Array, Episode, EpisodeMeta, read_annotation
 from playlearn.errors import StoreError
 
@@ -105,6 +106,10 @@ class Store(Protocol):
         """One array of episode i under its stored name (`achieved`, `observation.images.front`), read-only."""
         ...
 
+    def digests(self) -> dict[str, str]:
+        """Of what it holds, part by part (`episode 3`): the same as long as nobody has changed that part; quick."""
+        ...
+
     def verify(self) -> list[str]:
         """One line for each problem; reads everything. Empty: the store is intact."""
         ...
@@ -119,6 +124,11 @@ def with_images(episode: Episode, images: Mapping[str, Array], renderer: str) ->
     cameras = {camera: {"height": frames.shape[1], "width": frames.shape[2]} for camera, frames in images.items()}
     meta = dataclasses.replace(episode.meta, cameras=cameras, renderer=renderer)
     return dataclasses.replace(episode, meta=meta, images=dict(images))
+
+
+def spec_digest(spec: StoreSpec) -> str:
+    """The digest of what all episodes of a store have in common."""
+    return json_digest(plain(dataclasses.asdict(spec)))
 
 
 def plain(value: Any) -> Any:

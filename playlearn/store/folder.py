@@ -1,14 +1,12 @@
-"""The folder of a native store: file names, the writer's lock, and what a kill leaves behind."""
+"""The folder of a native store: file names, and what a kill leaves behind."""
 
 import json
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-import filelock
-
-from playlearn.config import RunFolder, atomic_write, sync_folder
+from playlearn.config import RunFolder, atomic_write, make_folder
+from playlearn.config.held import LOCK
 from playlearn.errors import StoreError
 from playlearn.store.tensors import TEMPORARY
 
@@ -20,57 +18,42 @@ def episode_path(folder: Path, index: int) -> Path:
     return folder / "episodes" / f"{index:06d}{SUFFIX}"
 
 
-@contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Hold the writer's lock; the kernel releases it when its holder dies."""
-    lock = filelock.FileLock(folder / ".lock")
-    try:
-        lock.acquire(timeout=0)
-    except filelock.Timeout as error:
-        raise StoreError(
-            f"{folder} is being written by another process: wait for it to end (lock: {lock.lock_file})"
-        ) from error
-    try:
-        yield
-    finally:
-        lock.release()
-
-
 def check_free(folder: Path, notes: Collection[str]) -> None:
     """Raises StoreError if the folder already holds something."""
     if (folder / "store.json").exists():
         raise StoreError(f"{folder} is already a store: add to it with --resume, or name another folder")
-    allowed = {".lock", "episodes", *notes}  # left by a kill while a store is made
+    allowed = {LOCK, "episodes", *notes}  # left by a kill while a store is made
     if folder.exists() and (not folder.is_dir() or any(path.name not in allowed for path in _entries(folder))):
         raise StoreError(f"{folder} already holds something that is not a store: name another folder")
     if _entries(folder / "episodes"):
         raise StoreError(f"{folder} holds episodes but no store.json: put it back, or name another folder")
 
 
-def make_folder(folder: Path) -> None:
-    """Make a folder and its parents, durably: they survive a power cut."""
-    made = [path for path in (folder, *folder.parents) if not path.exists()]
-    folder.mkdir(parents=True, exist_ok=True)
-    for path in made:
-        sync_folder(path.parent)
-
-
 def claim(folder: Path, name: str, note: Mapping[str, Any], what: str) -> None:
-    """Record in the file `name` what the folder's files are made with, and prepare the folder.
+    """Record in the file `name` what the folder's files are made with, and prepare the folder; the caller holds it.
 
-    note: everything that determines the files, as JSON.
+    note: everything that determines the files, as JSON; `episodes` in it says of which each is made, by digest, and
+        may grow.
     what: what the files are, for messages.
 
     Raises:
         UsageError: the files there were made with something else.
     """
-    claimed = RunFolder(folder, name, what, f"name another {what}.folder", leftovers=("episodes",))
-    if claimed.begun():
-        sweep(folder)
-        claimed.check_same(json.loads(claimed.file.read_text()), note)
-        return
     make_folder(folder / "episodes")
-    atomic_write(claimed.file, json.dumps(note, indent=2).encode())
+    sweep(folder)
+    before = claimed(folder, name, note, what)
+    episodes = {**before.get("episodes", {}), **note.get("episodes", {})}
+    atomic_write(folder / name, json.dumps({**note, "episodes": episodes}, indent=2).encode())
+
+
+def claimed(folder: Path, name: str, note: Mapping[str, Any], what: str) -> Mapping[str, Any]:
+    """What `claim` recorded there, empty where it did not; raises UsageError as it does. Changes nothing."""
+    own = RunFolder(folder, name, what, f"name another {what}.folder", entries=("episodes",), leftovers=("episodes",))
+    if not own.begun():
+        return {}
+    before: dict[str, Any] = json.loads(own.file.read_text(encoding="utf-8"))
+    own.check_same(before, note)
+    return before
 
 
 def sweep(folder: Path) -> None:

@@ -10,7 +10,6 @@ that was killed while making it can start again.
 """
 
 import bisect
-import errno
 import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -21,13 +20,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from playlearn.config import atomic_write
+from playlearn.config import atomic_write, held, make_folder
 from playlearn.episode import Array, Episode, EpisodeMeta
-from playlearn.errors import EpisodeError, MissingStoreError, StoreError
-from playlearn.store.base import StoreConfig, StoreSpec, from_json, summary, to_json, with_images
-from playlearn.store.folder import check_free, episode_path, foreign_files, indices, locked, make_folder, sweep
+from playlearn.errors import DiskError, EpisodeError, MissingStoreError, StoreError
+from playlearn.store.base import StoreConfig, StoreSpec, from_json, spec_digest, summary, to_json, with_images
+from playlearn.store.folder import check_free, episode_path, foreign_files, indices, sweep
 from playlearn.store.mmap_cache import MmapCache
-from playlearn.store.tensors import DAMAGED, Layout, checksum_holds, map_tensors, read_header, write_tensors
+from playlearn.store.tensors import DAMAGED, Header, Layout, checksum_holds, map_tensors, read_header, write_tensors
 
 FORMAT, VERSION = "playlearn", 1
 _MAX_LISTED = 10  # damaged files in one message
@@ -57,6 +56,7 @@ class NativeStore:
         """Used by `open` and `create`."""
         self.path, self.spec = path, spec
         self._layouts: dict[int, Layout] = {}
+        self._checksums: dict[int, str] = {}
         self._indices: list[int] = []  # ascending
         self._maps = MmapCache()
         self.refresh()
@@ -82,12 +82,14 @@ class NativeStore:
             first, so that no store lacks them.
 
         Raises:
-            StoreError: the folder already holds something, or another process is making it.
+            StoreError: the folder already holds something.
+            BusyError: another process is making it.
+            DiskError: the disk is full.
         """
         path, notes = Path(path), notes or {}
         check_free(path, notes)
         make_folder(path / "episodes")
-        with locked(path):
+        with held(path):
             check_free(path, notes)  # another process may have made it meanwhile
             for name, write in notes.items():
                 write(path / name)
@@ -101,7 +103,7 @@ class NativeStore:
         layouts, problems = {}, []
         for index in found:
             try:
-                layouts[index] = self._layouts.get(index) or self._checked(episode_path(self.path, index))
+                layouts[index] = self._layouts.get(index) or self._checked(index)
             except StoreError as error:
                 problems.append(str(error))
         if problems:
@@ -111,7 +113,7 @@ class NativeStore:
 
     def add(self, index: int) -> None:
         """Add the episode that was just written under `index`, without looking for others."""
-        self._layouts[index] = self._checked(episode_path(self.path, index))
+        self._layouts[index] = self._checked(index)
         bisect.insort(self._indices, index)
 
     @contextmanager
@@ -119,9 +121,9 @@ class NativeStore:
         """Hold the store's lock to append; removes files that a killed writer left half written.
 
         Raises:
-            StoreError: another process is writing.
+            BusyError: another process is writing.
         """
-        with locked(self.path):
+        with held(self.path):
             try:
                 sweep(self.path)
                 self.refresh()
@@ -165,6 +167,11 @@ class NativeStore:
         """Episode i with other images, for a store of its own (see `base.with_images`)."""
         return with_images(self.read(i), images, renderer)
 
+    def digests(self) -> dict[str, str]:
+        return {"spec": spec_digest(self.spec)} | {
+            f"episode {index}": self._checksums[index][:16] for index in self._indices
+        }
+
     def verify(self) -> list[str]:
         problems = [f"{path} does not belong here: move it out of the store" for path in foreign_files(self.path)]
         for i, index in enumerate(self._indices):
@@ -191,12 +198,15 @@ class NativeStore:
             "missing": [index for index in range(max(present, default=0)) if index not in present],
         }
 
-    def _checked(self, path: Path) -> Layout:
-        meta, layout = _meta(path)
+    def _checked(self, index: int) -> Layout:
+        path = episode_path(self.path, index)
+        meta, header = _meta(path)
+        layout = header.layout
         try:
             self.spec.check(StoreSpec.of_shapes(meta, {key: slot.shape for key, slot in layout.slots.items()}))
         except StoreError as error:
             raise StoreError(f"{path}: {error}") from error
+        self._checksums[index] = header.metadata.get("sha256", "")
         return layout
 
     def _index(self, i: int) -> int:
@@ -219,7 +229,8 @@ class Writer:
         """Add an episode under `index` (None: one more than the last) and return the index.
 
         Raises:
-            StoreError: it is another environment's, the index is taken, or the disk is full.
+            StoreError: it is another environment's, or the index is taken.
+            DiskError: the disk is full; says how many episodes are safe.
         """
         index = self._store.last() + 1 if index is None else index
         if episode_path(self._store.path, index).exists():
@@ -235,7 +246,8 @@ def write_episode(folder: Path | str, index: int, episode: Episode) -> Path:
     Takes no lock: for worker processes whose parent holds it. Two jobs with the same index give one episode.
 
     Raises:
-        StoreError: no store is there, the episode is another environment's, or the disk is full.
+        StoreError: no store is there, or the episode is another environment's.
+        DiskError: the disk is full; says how many episodes are safe.
     """
     folder = Path(folder)
     _read_spec(folder).check(StoreSpec.of(episode))
@@ -244,22 +256,18 @@ def write_episode(folder: Path | str, index: int, episode: Episode) -> Path:
         write_tensors(
             path, episode.arrays(), {"format": FORMAT, "version": str(VERSION), "meta": to_json(episode.meta)}
         )
-    except OSError as error:
-        reason = (
-            "the disk is full" if error.errno in (errno.ENOSPC, errno.EDQUOT) else f"cannot write ({error.strerror})"
-        )
-        safe = len(indices(folder))
-        raise StoreError(f"{folder}: {reason}; {safe} episodes are safe. Make room and go on with --resume") from error
+    except DiskError as error:
+        raise DiskError(f"{error}; {len(indices(folder))} episodes are safe") from error
     return path
 
 
-def _meta(path: Path) -> tuple[EpisodeMeta, Layout]:
-    """Metadata of an episode file and the layout of its arrays; raises StoreError if it is not an episode."""
+def _meta(path: Path) -> tuple[EpisodeMeta, Header]:
+    """Metadata of an episode file, and the file's header; raises StoreError if it is not an episode."""
     header = read_header(path)
     if "meta" not in header.metadata or "action" not in header.layout.slots:
         raise StoreError(f"{path} is not an episode: move it out of the store")
     try:
-        return from_json(EpisodeMeta, header.metadata["meta"]), header.layout
+        return from_json(EpisodeMeta, header.metadata["meta"]), header
     except StoreError as error:
         raise StoreError(f"{path}: {error}") from error
     except DAMAGED as error:

@@ -17,11 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from playlearn.config.record import sync_folder
 from playlearn.episode import Array, Episode
 from playlearn.errors import StoreError
 from playlearn.store.base import Store, plain
-from playlearn.store.hdf5 import import_h5py
+from playlearn.store.hdf5_writer import new_hdf5
 from playlearn.store.lerobot.content import SUCCEEDED
 from playlearn.store.robomimic import IMAGE, SUCCESS, RobomimicFile
 
@@ -41,7 +40,9 @@ def export_robomimic(
 
     Raises:
         UsageError: h5py is not installed.
-        StoreError: `out` is taken, there is nothing to write, or the disk is full.
+        StoreError: `out` is taken, or there is nothing to write.
+        BusyError: another process exports to `out`.
+        DiskError: the disk is full; nothing is left there.
     """
     if out.exists():
         raise StoreError(f"{out} already exists: remove it, or name another file")
@@ -50,26 +51,16 @@ def export_robomimic(
     short = [int(i) for i, steps in zip(store.indices(), store.lengths(), strict=True) if steps < 2]
     if short:
         raise StoreError(f"{store.name()}: episode {short[0]} has one action only, and a demonstration needs two")
-    building = out.with_name(f".{out.name}.building")
-    building.unlink(missing_ok=True)  # of an export that was killed
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with import_h5py().File(building, "w") as file:
-            data = file.create_group("data")
-            data.attrs["total"] = int(store.lengths().sum())
-            data.attrs["env_args"] = json.dumps(_environment(store))
-            for i, number in enumerate(store.indices().tolist()):
-                _write(data.create_group(f"demo_{number}"), store.read(i))
-                progress(i + 1)
-            for mask, members in masks.items():
-                file[f"mask/{mask}"] = np.array([f"demo_{number}" for number in sorted(members)], dtype="S")
-        _check(building, store)
-        building.replace(out)
-        sync_folder(out.parent)
-    except OSError as error:
-        raise StoreError(f"{out} cannot be written ({error.strerror or error}): nothing was left there") from error
-    finally:
-        building.unlink(missing_ok=True)
+    with new_hdf5(out, lambda path: _check(path, store)) as (file, check_disk):
+        data = file.create_group("data")
+        data.attrs["total"] = int(store.lengths().sum())
+        data.attrs["env_args"] = json.dumps(_environment(store))
+        for i, number in enumerate(store.indices().tolist()):
+            _write(data.create_group(f"demo_{number}"), store.read(i))
+            check_disk()
+            progress(i + 1)
+        for mask, members in masks.items():
+            file[f"mask/{mask}"] = np.array([f"demo_{number}" for number in sorted(members)], dtype="S")
 
 
 def _environment(store: Store) -> dict[str, Any]:

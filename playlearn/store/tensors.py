@@ -94,7 +94,7 @@ def write_tensors(path: Path, arrays: Mapping[str, Array], metadata: Mapping[str
     An existing file of that name is replaced.
 
     Raises:
-        OSError: the disk is full or cannot be written; the temporary file is gone, nothing else was changed.
+        DiskError: the disk is full or cannot be written; nothing was changed.
     """
     # Widest numbers first, so that every array begins at a multiple of its own item size.
     ordered = sorted(arrays.items(), key=lambda item: (-item[1].dtype.itemsize, item[0]))

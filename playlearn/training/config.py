@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from playlearn.config import RunFolder, load_config, to_dict
+from playlearn.config import Digests, RunFolder, load_config, to_dict
 from playlearn.data import CorrectionsConfig, DataConfig, PerceivedConfig, ScenesConfig
 from playlearn.data.mixture import DatasetSource
 from playlearn.errors import UsageError
-from playlearn.policies import PolicyConfig
-from playlearn.store import StoreConfig
+from playlearn.policies import PolicyConfig, policy_digests
+from playlearn.store import Store, StoreConfig, open_store
 
 # What may differ between a run and its resumption: how long it is, and what it logs.
 ADJUSTABLE = ("steps", "max_minutes", "val_every", "checkpoint_every", "log_every", "tracker")
@@ -142,11 +142,26 @@ class TrainConfig:
         )
 
 
+def run_folder(out: Path) -> RunFolder:
+    """The folder of a training run."""
+    return RunFolder(out, "config.yaml", "training run", adjustable=ADJUSTABLE)
+
+
 def check_out(config: TrainConfig, out: Path, *, resume: bool) -> None:
     """Raises UsageError where `out` is taken or, with resume, holds no run of this config."""
-    folder = RunFolder(out, "config.yaml", "training run", adjustable=ADJUSTABLE)
+    folder = run_folder(out)
     if folder.begun(resume=resume):
-        folder.check_same(to_dict(load_config(TrainConfig, folder.file)), to_dict(config))
+        folder.check_same(to_dict(load_config(TrainConfig, folder.file), out), to_dict(config, out))
+
+
+def training_inputs(config: TrainConfig, store: Store) -> Digests:
+    """What a training on a store reads, by digest; raises StoreError where another store is missing."""
+    inputs: dict[str, Mapping[str, str]] = {"store": store.digests()}
+    for number, source in enumerate(config.extra_datasets):
+        inputs[f"extra_datasets.{number}.store"] = open_store(source.store).digests()
+    encoder = None if config.perceived is None else config.perceived.encoder
+    runs = {"init_from": config.init_from, "perceived.encoder": encoder}
+    return inputs | {name: policy_digests(run) for name, run in runs.items() if run is not None}
 
 
 def stored_threads(config: TrainConfig, out: Path, *, resume: bool) -> int:

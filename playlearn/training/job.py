@@ -2,11 +2,12 @@
 
 import json
 import math
+import os
 import sys
 import threading
 import time
 from collections.abc import Generator, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, nullcontext
 from pathlib import Path
 from typing import Any, cast
 
@@ -16,7 +17,7 @@ from accelerate import Accelerator
 from torch import Tensor, nn
 
 from playlearn.batch import Batch
-from playlearn.config import atomic_write, git_revision, save_config, to_dict, versions
+from playlearn.config import append_line, atomic_write, git_revision, held, save_config, to_dict, versions
 from playlearn.data import statistics
 from playlearn.errors import NotLearnedError, TrainingDiverged
 from playlearn.executor import interruption_deferred
@@ -27,7 +28,7 @@ from playlearn.report.outcome import Outcome
 from playlearn.report.progress import Pace, Progress
 from playlearn.store import Store, open_store
 from playlearn.threads import limit
-from playlearn.training.config import TrainConfig, check_out, flattened, stored_threads
+from playlearn.training.config import TrainConfig, check_out, flattened, run_folder, stored_threads, training_inputs
 from playlearn.training.divergence import reason
 from playlearn.training.examples import RunExamples
 from playlearn.training.window import Window
@@ -43,20 +44,37 @@ def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
     Raises:
         TrainingDiverged: a loss, a gradient or a weight is not finite; what was saved before is kept.
         NotLearnedError: a fresh policy's held-out loss is no better than before the first update; all is saved.
-        UsageError: `out` is taken (or, with resume, is no run of this config); the store lacks a camera, or a goal.
+        UsageError: `out` is taken (or, with resume, is no run of this config on these data); the store lacks a camera,
+            or a goal.
         StoreError: the store is missing or too small, or holds a number that is not finite.
+        BusyError: another process trains there.
+        DiskError: the disk is full; the last checkpoint and policy are whole.
         KeyboardInterrupt: on Ctrl-C, after the current update and a checkpoint.
     """
     config = config.resolved()
-    check_out(config, out, resume=resume)
+    with held(out) if _is_first() else nullcontext():
+        check_out(config, out, resume=resume)
+        _train(config, out, resume=resume)
+
+
+def _is_first() -> bool:
+    """Whether this process is the one that writes, of those that a launcher started."""
+    return os.environ.get("RANK", "0") == "0"
+
+
+def _train(config: TrainConfig, out: Path, *, resume: bool) -> None:
     threads = stored_threads(config, out, resume=resume)
     limit(threads)
     store = open_store(config.store)
     config.policy.encoder.check_goal(store.spec, store.name())  # before anything slow
+    inputs = training_inputs(config, store)
+    if resume:
+        run_folder(out).check_inputs(inputs)
     run = _Run(config, store, out)
     if resume and run.checkpoint.is_file():
         run.load()
     elif run.accelerator.is_main_process:
+        run_folder(out).keep_inputs(inputs)
         run.describe()
     run.examples.make(run.policy)
     limit(threads)  # the makers of these may have set others
@@ -226,8 +244,7 @@ class _Run:
         """Into metrics.jsonl and the tracker; returns the line to show."""
         named = {f"{kind}/{name}": value for name, value in values.items()}
         if self.accelerator.is_main_process:
-            with self._metrics.open("a", encoding="utf-8") as file:
-                file.write(json.dumps({"step": self.step, "seconds": round(self.seconds, 2), **named}) + "\n")
+            append_line(self._metrics, json.dumps({"step": self.step, "seconds": round(self.seconds, 2), **named}))
         if self.config.tracker:
             self.accelerator.log(named, step=self.step)
         return f"step {self.step}: " + " ".join(f"{name} {value:.4g}" for name, value in named.items())
@@ -279,7 +296,6 @@ class _Run:
 
     def describe(self) -> None:
         """Save what is run, before it runs."""
-        self.out.mkdir(parents=True, exist_ok=True)
         self._metrics.unlink(missing_ok=True)  # of a run that left no checkpoint
         save_config(self.config, self.out / "config.yaml")
         record = {

@@ -62,3 +62,18 @@ def test_entries_may_come_and_go_but_not_change(tmp_path: Path) -> None:
 
 def test_a_block_that_appears_differs_as_a_whole() -> None:
     assert differences({"a": None, "c": 1}, {"a": {"b": 1}, "d": None}) == ["a", "c"]
+
+
+def test_what_a_job_reads_must_be_what_it_was_begun_with(tmp_path: Path) -> None:
+    """Only of what both read: a variant of a comparison may come later."""
+    job = folder(tmp_path)
+    job.check_inputs({"store": {"episode 0": "a"}})
+    job.keep_inputs({"store": {"episode 0": "a", "episode 1": "b", "episode 2": "c"}, "left out": {"x": "1"}})
+    job.check_inputs({"store": {"episode 0": "a", "episode 1": "b", "episode 2": "c"}, "new": {"x": "2"}})
+    with pytest.raises(
+        UsageError,
+        match=r"begun with other inputs: store: 1 added \(episode 7\), 1 removed \(episode 2\), 1 changed \(episode 1\)"
+        r"\. Put it back as it was, or choose another --out",
+    ):
+        job.check_inputs({"store": {"episode 0": "a", "episode 1": "x", "episode 7": "c"}})
+    assert not job.begun(), "its inputs are written before its record"

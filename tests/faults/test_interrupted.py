@@ -13,10 +13,9 @@ import pytest
 
 from playlearn import cli
 from playlearn.collection import CollectConfig, collect
-from playlearn.config import save_config
-from playlearn.errors import StoreError
+from playlearn.config import held, save_config
+from playlearn.errors import BusyError
 from playlearn.store import NativeStore, StoreSpec
-from playlearn.store.folder import locked
 from tests.faults import point
 from tests.faults.command import HERE, contents, episodes, finish, gone, start
 from tests.synthetic import make_episode
@@ -101,7 +100,7 @@ def test_two_that_begin_at_once_do_not_mix(tmp_path: Path) -> None:
     """While one process makes the store, no other writes into it."""
     (tmp_path / "play").mkdir()
     spec = StoreSpec.of(make_episode(np.random.default_rng(0), 3))
-    with locked(tmp_path / "play"), pytest.raises(StoreError, match="being written by another process"):
+    with held(tmp_path / "play"), pytest.raises(BusyError, match="being written by another process"):
         NativeStore.create(tmp_path / "play", spec, {"note": lambda path: path.touch()})
-    assert sorted(path.name for path in (tmp_path / "play").iterdir()) == [".lock", "episodes"]
+    assert sorted(path.name for path in (tmp_path / "play").iterdir()) == ["episodes"]
     assert len(NativeStore.create(tmp_path / "play", spec)) == 0

@@ -14,7 +14,7 @@ import pytest
 from safetensors.numpy import load_file
 
 from playlearn.episode import Episode
-from playlearn.errors import EpisodeError, StoreError
+from playlearn.errors import BusyError, DiskError, EpisodeError, StoreError
 from playlearn.store import NativeStore, NativeStoreConfig, StoreSpec, episode_path, open_store, write_episode
 from playlearn.store.mmap_cache import OPEN_MAPS
 from tests.synthetic import SKILLS, make_episode, make_store
@@ -152,7 +152,7 @@ def test_a_killed_writer_leaves_the_store_intact(tmp_path: Path, rng: np.random.
 
 def test_a_second_writer_is_refused(tmp_path: Path, rng: np.random.Generator) -> None:
     store = make_store(tmp_path / "play", rng, 1, 5)
-    with store.writer(), pytest.raises(StoreError, match=r"another process.*\.lock"), open_store(store.path).writer():
+    with store.writer(), pytest.raises(BusyError, match=r"another process.*\.lock"), open_store(store.path).writer():
         pass
     with store.writer() as writer:
         writer.append(make_episode(rng, 5))
@@ -169,7 +169,7 @@ def test_a_full_disk_harms_nothing(
 
     with store.writer() as writer, monkeypatch.context() as patch:
         patch.setattr(os, "fsync", full)
-        with pytest.raises(StoreError, match=f"{message}.*3 episodes are safe"):
+        with pytest.raises(DiskError, match=f"{message}.*3 episodes are safe"):
             writer.append(make_episode(rng, 20))
     assert len(list((store.path / "episodes").iterdir())) == 3
     assert NativeStore.open(store.path).verify() == []

@@ -1,6 +1,8 @@
 """Export to robomimic's HDF5: its content, what reads back, and that a failure leaves nothing."""
 
+import errno
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +12,9 @@ import pytest
 from playlearn.cli import main
 from playlearn.data import DataConfig, PlayDataset
 from playlearn.data.split import val_mask
-from playlearn.errors import StoreError
+from playlearn.errors import DiskError
 from playlearn.relabeling import UniformConfig
-from playlearn.store import NativeStore, StoreSpec, robomimic_export
+from playlearn.store import NativeStore, StoreSpec
 from playlearn.store.importing import import_recordings
 from playlearn.store.robomimic import RobomimicConfig, RobomimicFile
 from playlearn.store.robomimic_export import export_robomimic
@@ -83,11 +85,36 @@ def test_the_command_writes_the_validation_split_as_a_mask(store: NativeStore, t
     assert not (tmp_path / "b").exists()
 
 
-def test_a_failure_leaves_nothing_behind(store: NativeStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: Any) -> None:
-        raise OSError(28, "No space left on device")
+def test_a_full_disk_is_an_error_and_leaves_nothing(
+    store: NativeStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """HDF5 ends the process with a segmentation fault if a write fails under it, so it must never see one fail."""
+    whole = tmp_path / "whole.hdf5"
+    export_robomimic(store, whole, MASKS)
+    write, size, room = os.pwrite, whole.stat().st_size, [0]
 
-    monkeypatch.setattr(robomimic_export, "_write", full)
-    with pytest.raises(StoreError, match="cannot be written"):
+    def pwrite(descriptor: int, data: Any, at: int) -> int:
+        if at + len(data) > room[0]:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return write(descriptor, data[: len(data) // 2 + 1], at)  # less than was asked for, as the system may
+
+    monkeypatch.setattr(os, "pwrite", pwrite)
+    for room[0] in (0, 3000, size // 2, size - 1):
+        with pytest.raises(DiskError, match=r"the disk is full; nothing was left at .*out/a.hdf5"):
+            export_robomimic(store, tmp_path / "out" / "a.hdf5", MASKS)
+        assert not (tmp_path / "out").exists(), "it was made for this"
+    room[0] = size
+    export_robomimic(store, tmp_path / "out" / "a.hdf5", MASKS)
+    assert RobomimicFile(tmp_path / "out" / "a.hdf5").problems() == {}
+
+
+def test_a_disk_that_fails_at_the_end_is_an_error(
+    store: NativeStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(_: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(os, "fsync", failing)
+    with pytest.raises(DiskError, match="Input/output error"):
         export_robomimic(store, tmp_path / "out" / "a.hdf5", MASKS)
-    assert list((tmp_path / "out").iterdir()) == []
+    assert not (tmp_path / "out" / "a.hdf5").exists()

@@ -10,12 +10,11 @@ from playlearn.collection.corrections.response import end_effector_response
 from playlearn.collection.corrections.rollback import CorrectableEnv, way_back
 from playlearn.data.corrections import CorrectionsConfig
 from playlearn.episode import IMAGES, Array
-from playlearn.episode_jobs import missing, run_jobs
+from playlearn.episode_jobs import made_of, make_files
 from playlearn.errors import UsageError
 from playlearn.executor import Job
 from playlearn.process_cache import cached_env_of, cached_note, cached_store
 from playlearn.store import Store, episode_path
-from playlearn.store.folder import claim
 from playlearn.store.tensors import write_tensors
 
 NOTE = "corrections.json"
@@ -38,23 +37,24 @@ def make_corrections(
 
     Raises:
         UsageError: `folder` was made with other settings, or the store's environment cannot displace its arm.
-        StoreError: the store lacks simulator states, or the disk is full.
+        StoreError: the store lacks simulator states.
+        BusyError: another process makes them.
+        DiskError: the disk is full.
     """
     response = end_effector_response(store, episodes[:_MEASURED].tolist())
     note = {
-        "store": dict(store.spec.environment),
+        **made_of(store),
         "cameras": {camera: list(store.cameras()[camera]) for camera in cameras},
         "response": response.tolist(),
         **{name: getattr(config, name) for name in ("displacement", "turn", "per_episode", "steps", "seed")},
     }
-    claim(folder, NOTE, note, "corrections")
     jobs = [
         Job(
             key=int(number), function=correct, kwargs={"source": store.name(), "out": str(folder), "index": int(number)}
         )
         for number in store.indices()[episodes]
     ]
-    run_jobs(f"corrections {folder}", missing(jobs, folder), len(jobs), workers)
+    make_files(folder, "corrections", note, jobs, workers)
 
 
 def correct(source: str, out: str, index: int) -> None:

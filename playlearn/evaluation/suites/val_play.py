@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-import yaml
 
-from playlearn.config import from_dict, to_dict
+from playlearn.config import from_dict, read_config, to_dict
 from playlearn.data import DataConfig
 from playlearn.data.split import val_mask
 from playlearn.episode import Array
@@ -139,6 +138,6 @@ def _training(run: Path) -> tuple[Path | StoreConfig | None, float | None]:
     path = run / RUN_CONFIG
     if not path.is_file():
         return None, None
-    config = yaml.safe_load(path.read_text()) or {}
+    config = read_config(path)
     store = config.get("store")
     return (None if store is None else parse_store(store)), (config.get("data") or {}).get("val_fraction")

@@ -11,7 +11,7 @@ import draccus
 import torch
 from torch import Tensor, nn
 
-from playlearn.config import atomic_write, git_revision, load_config, save_config, to_dict, versions
+from playlearn.config import atomic_write, git_revision, held, load_config, save_config, to_dict, versions
 from playlearn.errors import UsageError
 from playlearn.policies.heads import Head, HeadConfig
 from playlearn.threads import limit
@@ -92,25 +92,29 @@ def run(experiment: Experiment, out: Path, say: Callable[[str], None]) -> Rows:
     Raises:
         UsageError: `out` has results already.
     """
-    if (out / "results.json").exists():
-        raise UsageError(f"{out} has results already: remove them, or choose another --out")
     limit()
     began = time.perf_counter()
-    rows = experiment.measure(say)
-    out.mkdir(parents=True, exist_ok=True)
+    with held(out):
+        if (out / "results.json").exists():
+            raise UsageError(f"{out} has results already: remove them, or choose another --out")
+        rows = experiment.measure(say)
+        _write(experiment, rows, out, time.perf_counter() - began)
+    return rows
+
+
+def _write(experiment: Experiment, rows: Rows, out: Path, seconds: float) -> None:
     experiment.plot(rows, out / "plot.png")
     save_config(ToyExperiment(experiment), out / "config.yaml")
     results = {
         "experiment": type(experiment).get_choice_name(type(experiment)),
         "config": to_dict(experiment),
         "rows": rows,
-        "seconds": round(time.perf_counter() - began, 1),
+        "seconds": round(seconds, 1),
         "versions": versions(),
         "git_revision": git_revision(),
         "threads": torch.get_num_threads(),
     }
     atomic_write(out / "results.json", json.dumps(results, indent=1).encode())
-    return rows
 
 
 class ContextPolicy(nn.Module):

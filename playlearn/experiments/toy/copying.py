@@ -17,6 +17,7 @@ from playlearn.data import DataConfig
 from playlearn.episode import Array
 from playlearn.errors import UsageError
 from playlearn.experiments.toy.base import Experiment, Rows
+from playlearn.report.figure import save_figure
 from playlearn.store import Store, open_store
 
 TURNS = 0.1  # fraction of the moments that count as turns: those whose action differs most from the last
@@ -100,7 +101,7 @@ class CopyingConfig(Experiment):
             axes.set_xticks([0, *self.past])
             axes.set_ylim(min(-0.1, 1.1 * min(row[key] for row in rows[1:])), 1)
         axes.legend(fontsize=8, frameon=False)
-        figure.savefig(path, dpi=130)
+        save_figure(figure, path, dpi=130)
 
     def _examples(self, store: Store, split: str) -> "_Examples":
         """Of moments with enough actions before them and a label that is not masked."""

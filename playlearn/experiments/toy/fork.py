@@ -14,6 +14,7 @@ from torch import Tensor
 
 from playlearn.episode import Array
 from playlearn.experiments.toy.base import Experiment, HeadsConfig, Rows, train_head
+from playlearn.report.figure import save_figure
 
 STEPS = 16
 RADIUS, DISC_RANGE = 0.2, 0.1
@@ -75,7 +76,7 @@ class ForkConfig(HeadsConfig, Experiment):
             axes.fill(0.5 + RADIUS * np.cos(circle), RADIUS * np.sin(circle), color="0.75", zorder=3)
             axes.set_title(f"{row['head']}\nvalid {row['valid']:.0%}, both ways {row['coverage']:.0%}", fontsize=8)
             axes.set(xlim=(-0.1, 1.1), ylim=(-0.65, 0.65), xticks=[], yticks=[], aspect="equal")
-        figure.savefig(path, dpi=110)
+        save_figure(figure, path, dpi=110)
 
     def _examples(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         def uniform(low: float, high: float) -> Tensor:

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from playlearn.experiments.toy.base import Experiment, HeadsConfig, Rows, train_head
+from playlearn.report.figure import save_figure
 
 STEPS, STD = 8, 0.05
 NEAR = 3.0  # stds, root mean square over the chunk, within which a sample belongs to a mode
@@ -73,7 +74,7 @@ class ModesConfig(HeadsConfig, Experiment):
             axes.set_yticks(range(len(names)), names if number == 0 else [""] * len(names), fontsize=8)
             title = "fraction of samples near a mode" if column_of == "valid" else "evenness over the modes"
             axes.set_title(title, fontsize=9)
-        figure.savefig(path, dpi=130)
+        save_figure(figure, path, dpi=130)
 
 
 def _centers(dimensions: int, modes: int) -> Tensor:

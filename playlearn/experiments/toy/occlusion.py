@@ -9,6 +9,7 @@ import numpy as np
 from playlearn.episode import Array
 from playlearn.experiments.toy.base import Experiment, Rows
 from playlearn.experiments.toy.tightrope_env import CUE, clone, walk
+from playlearn.report.figure import save_figure
 
 
 @Experiment.register_subclass("occlusion")
@@ -64,7 +65,7 @@ class OcclusionConfig(Experiment):
         axes.text(self.histories[-1], 2 / 3, "random turns", ha="right", va="bottom", fontsize=8, color="0.4")
         axes.set(xlabel="observations in the history", ylabel="mistakes per step", ylim=(0, None))
         axes.legend(fontsize=8, frameon=False)
-        figure.savefig(path, dpi=130)
+        save_figure(figure, path, dpi=130)
 
     def _error_rate(self, history: int, occluded: bool, seed: int) -> float:
         walks = -(-self.labeled // self.steps)

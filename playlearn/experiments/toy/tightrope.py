@@ -14,6 +14,7 @@ import numpy as np
 from playlearn.episode import Array
 from playlearn.experiments.toy.base import Experiment, Rows
 from playlearn.experiments.toy.tightrope_env import CUE, FURTHEST, Policy, clone, turn_back, walk
+from playlearn.report.figure import save_figure
 
 THEORY = {"cloning": 2, "noise injection": 1, "corrective augmentation": 1, "DAgger": 1}
 
@@ -73,7 +74,7 @@ class TightropeConfig(Experiment):
             axes.loglog(row["lengths"], row["mistakes"], "o-", color=color, label=label)
         axes.set(xlabel="length T of the walk, steps", ylabel="mistakes per walk")
         axes.legend(fontsize=8, frameon=False)
-        figure.savefig(path, dpi=130)
+        save_figure(figure, path, dpi=130)
 
     def _methods(self) -> dict[str, Callable[[int], Policy]]:
         return {

@@ -2,7 +2,6 @@
 
 import logging
 import os
-import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from playlearn.config import built_beside, disk_errors, disk_problem
 from playlearn.episode import IMAGES, Array
 from playlearn.errors import StoreError
 from playlearn.store.base import Store
@@ -68,24 +68,18 @@ def write_lerobot(
     write_extras: puts further files into the folder of the finished dataset before it appears at `out`.
 
     Raises:
-        StoreError: `out` is taken, there is nothing to write, its fps is no whole number, the disk is full, or what
-            is read back is not what was written.
+        StoreError: `out` is taken, there is nothing to write, its fps is no whole number, or what is read back is not
+            what was written.
+        BusyError: another process exports to `out`.
+        DiskError: the disk is full or cannot be written; nothing is left there.
     """
     out = Path(out)
-    _check(content, out)
-    building = out.with_name(f".{out.name}.building")
-    shutil.rmtree(building, ignore_errors=True)  # of an export that was killed
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with _quiet():
+    with built_beside(out) as building:
+        _check(content, out)
+        with _quiet(), _logged_errors(), disk_errors(out.parent):
             _write(content, building, f"local/{out.name}", videos, progress)
             fidelity = _read_back(content, building, f"local/{out.name}", videos)
         write_extras(building, fidelity)
-        building.replace(out)
-    except OSError as error:
-        raise StoreError(f"{out} cannot be written ({error.strerror or error}): nothing was left there") from error
-    finally:
-        shutil.rmtree(building, ignore_errors=True)
     return fidelity
 
 
@@ -124,6 +118,31 @@ def _quiet() -> Iterator[None]:
             datasets.enable_progress_bars()
         if banners is None:
             del os.environ["SVT_LOG"]
+
+
+@contextmanager
+def _logged_errors() -> Iterator[None]:
+    """Raise what LeRobot's threads only log: an image that cannot be written is then missed somewhere else."""
+    logged: list[str] = []
+    handler = logging.Handler(logging.ERROR)
+    handler.emit = lambda record: logged.append(record.getMessage())  # type: ignore[method-assign]
+    logger = logging.getLogger("lerobot")
+    logger.addHandler(handler)
+    try:
+        yield
+    except Exception as error:
+        if logged:
+            raise _logged_error(logged[0]) from error
+        raise
+    finally:
+        logger.removeHandler(handler)
+    if logged:
+        raise _logged_error(logged[0])
+
+
+def _logged_error(message: str) -> Exception:
+    error = OSError(message)
+    return error if disk_problem(error) else StoreError(f"LeRobot cannot write the dataset: {message}")
 
 
 def _write(content: Content, root: Path, name: str, videos: Codec | None, progress: ProgressCallback | None) -> None:

@@ -19,9 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from playlearn.config import digest, make_folder
 from playlearn.episode import IMAGES, STORED, Array, Episode, EpisodeMeta
-from playlearn.errors import EpisodeError, StoreError
-from playlearn.store.base import StoreSpec, summary
+from playlearn.errors import DiskError, EpisodeError, StoreError
+from playlearn.store.base import StoreSpec, spec_digest, summary
 from playlearn.store.lerobot import check, sidecar
 from playlearn.store.lerobot.frames import Size, decode_episode, resized
 from playlearn.store.lerobot.metadata import DatasetMetadata, Row, load_metadata
@@ -119,6 +120,14 @@ class LeRobotStore:
         make = self._exact_array if self._has_sidecars else self._approximate_array
         return make(i, row, key)
 
+    def digests(self) -> dict[str, str]:
+        """Of an episode's numbers, and of the size of every file with images."""
+        digests = {"spec": spec_digest(self.spec)}
+        digests |= {f"episode {self.number(row.index)}": self._digest(row) for row in self._rows}
+        images = {row.data for row in self._rows if set(row.clips) < set(self._sizes)}
+        images |= {row.clips[name].file for row in self._rows for name in self._sizes if name in row.clips}
+        return digests | {f"file {place}": str((self.path / place).stat().st_size) for place in sorted(images)}
+
     def verify(self) -> list[str]:
         problems = []
         for i, row in enumerate(self._rows):
@@ -213,14 +222,21 @@ class LeRobotStore:
                 last = {sidecar.LAST + key: resized(arrays[sidecar.LAST + key], (height, width))}
                 frames[key] = sidecar.joined(frames[key], last, key)
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(path.parent)
             write_tensors(path, frames, {"source": source})
-        except OSError as error:
-            raise StoreError(
-                f"decoded frames cannot be kept in {path.parent} ({error.strerror}); what is there is whole. Make "
-                "room, or name another folder (`cache`) or a smaller `image_size`, and go on"
+        except DiskError as error:
+            raise DiskError(
+                f"decoded frames cannot be kept: {error}; what is there is whole. Make room, or name another folder "
+                "(`cache`) or a smaller `image_size`"
             ) from error
         return map_tensors(path, read_header(path).layout)
+
+    def _digest(self, row: Row) -> str:
+        columns, own = self._columns[row.index], []
+        if self._has_sidecars:
+            own = [self._sidecars[row.index].header.metadata["sha256"]]
+        parts = [*own, *self._tasks_of(row)[0], *(f"{key} {digest(columns[key].tobytes())}" for key in sorted(columns))]
+        return digest("; ".join(parts).encode())
 
     def _source(self, row: Row) -> str:
         """What decoded frames depend on: they are stale if a file or the image size changes."""
