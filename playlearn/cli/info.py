@@ -33,7 +33,9 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(facts, indent=2))
     else:
-        _print_facts({key: value for key, value in facts.items() if key != "problems"})
+        _print_facts({key: value for key, value in facts.items() if key not in ("problems", "remarks")})
+        for name, remark in facts["remarks"].items():
+            print(f"{name}: {remark}")
         if arguments.verify and not problems:
             print(f"whole: every checksum of {len(store)} episodes holds")
     for problem in problems:

@@ -86,6 +86,8 @@ class OgbenchFile:
         self._bounds = np.concatenate([[0], ends])
         self.splits: Mapping[str, Sequence[int]] = {}
         self.spec = StoreSpec(self._kind.environment, STATE_NAMES, self._kind.achieved_names, ACTION_NAMES, FPS)
+        unread = [name for name in present if name not in self._arrays]
+        self.remarks: Mapping[str, str] = dict.fromkeys(unread, "left out: playlearn has no place for it")
         self.note = {"format": "ogbench", "source": path.name, "bytes": path.stat().st_size}
 
     def names(self) -> Mapping[int, str]:

@@ -19,16 +19,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from playlearn.episode import IMAGES, STORED, Array, Episode, EpisodeMeta
+from playlearn.episode import IMAGES, REWARD, STORED, Array, Episode, EpisodeMeta
 from playlearn.errors import EpisodeError, StoreError
 from playlearn.store.base import StoreSpec, summary
 from playlearn.store.lerobot import check, sidecar
 from playlearn.store.lerobot.frames import Size, decode_episode, resized
 from playlearn.store.lerobot.metadata import DatasetMetadata, Row, load_metadata
 from playlearn.store.mmap_cache import MmapCache
+from playlearn.store.success import Signals, SuccessRule, how_ended
 from playlearn.store.tensors import map_tensors, read_header, write_tensors
 
 UNKNOWN = -1  # of the seed
+OUTCOMES = {"success": "next.success", "reward": "next.reward", "done": "next.done"}  # part -> feature
 
 
 class LeRobotStore:
@@ -45,6 +47,7 @@ class LeRobotStore:
         cache: Path | None = None,
         without_images: bool = False,
         skip_broken: bool = False,
+        success: str | None = None,
     ) -> None:
         """root: folder of the dataset; the others are the fields of `LeRobotStoreConfig`.
 
@@ -68,6 +71,8 @@ class LeRobotStore:
         place = f"{self.path.name}-{hashlib.sha256(str(self.path.resolve()).encode()).hexdigest()[:12]}"
         self._cache = (cache or _cache_folder()) / place
         self._maps, self._sidecar_maps = MmapCache(), MmapCache()
+        rule = None if success is None else SuccessRule(success)
+        self._success = {row.index: self._succeeded(row, rule) for row in self._rows}
         self.spec = self._spec()
 
     def __len__(self) -> int:
@@ -95,6 +100,7 @@ class LeRobotStore:
             return self._sidecars[row.index].meta
         cameras = {name: {"height": h, "width": w} for name, (h, w) in self._sizes.items()}
         tasks, _ = self._tasks_of(row)
+        success = self._success[row.index]
         return EpisodeMeta(
             environment=self.spec.environment,
             state_names=self.spec.state_names,
@@ -105,12 +111,16 @@ class LeRobotStore:
             actor="unknown",
             cameras=cameras,
             skills=tuple(tasks) if len(tasks) > 1 else (),
+            ended=how_ended(success),
             task=tasks[0] if len(tasks) == 1 else "",
+            success=success,
         )
 
     def read(self, i: int) -> Episode:
         keys = [*STORED.values(), *(IMAGES + camera for camera in self._sizes)]
-        return Episode.from_arrays(self.meta(i), {key: self.array(i, key) for key in keys})
+        rewards = self.rewards(i)
+        arrays = {key: self.array(i, key) for key in keys} | ({} if rewards is None else {REWARD: rewards})
+        return Episode.from_arrays(self.meta(i), arrays)
 
     def array(self, i: int, key: str) -> Array:
         row = self._row(i)
@@ -118,6 +128,17 @@ class LeRobotStore:
             return self._maps.get(i, partial(self._frames, row))[key]
         make = self._exact_array if self._has_sidecars else self._approximate_array
         return make(i, row, key)
+
+    def remarks(self) -> dict[str, str]:
+        return {}
+
+    def rewards(self, i: int) -> Array | None:
+        row = self._row(i)
+        if self._has_sidecars:
+            return self._sidecar_maps.get(i, self._sidecars[row.index].arrays).get(REWARD)
+        if "reward" not in self._keys:
+            return None
+        return self._columns[row.index][self._keys["reward"]][: self._steps(row), 0].astype(np.float64)
 
     def verify(self) -> list[str]:
         problems = []
@@ -189,6 +210,14 @@ class LeRobotStore:
             raise StoreError(f"{self.path} has no {key}: it has {', '.join(known)}")
         return stored[key]
 
+    def _succeeded(self, row: Row, rule: SuccessRule | None) -> bool | None:
+        """Whether an episode without a sidecar succeeded; None where that is not known."""
+        own = {part: self._columns[row.index][key] for part, key in self._keys.items() if part in OUTCOMES}
+        if rule is not None:
+            where = f"{self.path}: episode {row.index}"
+            return rule(Signals(*(own[part][:, 0] if part in own else None for part in ("reward", "done"))), where)
+        return bool(own["success"].any()) if "success" in own else None
+
     def _tasks_of(self, row: Row) -> tuple[list[str], Array]:
         """The tasks of an episode, and (T,) int16 the task of each step; several tasks are read as skills."""
         steps, names = self._steps(row), self._metadata.tasks
@@ -259,6 +288,7 @@ def _features(metadata: DatasetMetadata, state: str, achieved: str, action: str)
         "action": action,
         "intervention": "intervention",
         "task": "task_index",
+        **OUTCOMES,
     }
     present = {part: key for part, key in keys.items() if key in metadata.features}
     for part in ("state", "action"):
