@@ -132,6 +132,12 @@ def grouped(remarks: Mapping[str, str]) -> dict[str, str]:
     return {", ".join(names): why for why, names in owners.items()}
 
 
+def beyond_mask(mask: str | None, chosen: int, total: int) -> dict[str, str]:
+    """What an import of one mask leaves out."""
+    left = total - chosen
+    return {"demonstrations": f"left out: {left} of {total}, as they are not in mask {mask!r}"} if left else {}
+
+
 def dataset(group: Any, key: str) -> Any:
     """A dataset of numbers or text in this file itself.
 

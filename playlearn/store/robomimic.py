@@ -17,6 +17,7 @@ from playlearn.errors import StoreError
 from playlearn.store.base import StoreSpec, plain
 from playlearn.store.hdf5 import (
     Demonstrations,
+    beyond_mask,
     dataset,
     demonstration,
     demonstration_names,
@@ -116,7 +117,8 @@ class RobomimicFile(Demonstrations):
             self._objects = self._dimensions(sound, arguments, goal_names)
             self._sparse = _is_sparse(sound, arguments)
             self._success = {group.name: self._succeeded(group, rule) for group in sound}
-            rest = unread(file, names, _READ) | self._not_everywhere(sound)
+            rest = beyond_mask(mask, len(self._names), len(names)) | unread(file, names, _READ)
+            rest |= self._not_everywhere(sound)
         recorded = _own_names(arguments)
         self.spec = StoreSpec(
             environment={"type": f"robomimic:{arguments.get('env_name', 'unknown')}", "env_args": arguments},

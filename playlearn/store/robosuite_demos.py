@@ -22,6 +22,7 @@ from playlearn.errors import StoreError
 from playlearn.store.base import StoreSpec, plain
 from playlearn.store.hdf5 import (
     Demonstrations,
+    beyond_mask,
     dataset,
     demonstration,
     demonstration_names,
@@ -101,7 +102,8 @@ class RobosuiteFile(Demonstrations):
             info, kind = json_attribute(data, "env_info"), data.attrs.get("env")
             kind = kind.decode() if isinstance(kind, bytes) else kind or info.get("env_name", "unknown")
             width = int(dataset(first, "actions").shape[1])
-            self.remarks = grouped({**unread(file, names, ("states", "actions")), **self._objects.remarks})
+            rest = beyond_mask(mask, len(self._names), len(names)) | unread(file, names, ("states", "actions"))
+            self.remarks = grouped({**rest, **self._objects.remarks})
         self.spec = StoreSpec(
             environment={"type": f"robosuite:{kind}", "env_info": info},
             state_names=scene.state_names,

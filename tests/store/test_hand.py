@@ -9,7 +9,7 @@ from playlearn.episode import Array
 from playlearn.store.hand import moves_with_hand
 from playlearn.store.robosuite_objects import NEW, OLD, known_order, object_orders
 
-STEPS, CARRIED = 120, slice(70, 110)
+STEPS, CARRIED = 120, slice(58, 76)
 
 
 def hand(rng: np.random.Generator) -> Array:
