@@ -78,7 +78,7 @@ class EpisodeMeta:
     fps: steps a second.
     seed: of the episode.
     actor: who acted.
-    skills: the annotations that `skill` indexes.
+    skills: what `skill` indexes: annotations (see `annotation`), unless they are `verbatim`.
     controller: the controller's settings.
     cameras: name -> {"height", "width"} of the recorded images.
     renderer: GL back end and device.
@@ -86,6 +86,7 @@ class EpisodeMeta:
     ended: why the episode stopped.
     task: what was asked for; "" in free play.
     split: "train" or "val" where the recording fixes it; "" leaves it to the episode's number.
+    verbatim: `skills` are the recorder's own words, in which nothing is an annotation.
     """
 
     environment: Mapping[str, Any]
@@ -103,6 +104,13 @@ class EpisodeMeta:
     ended: str = "length"
     task: str = ""
     split: str = ""
+    verbatim: bool = False
+
+    def annotations(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
+        """The skill and the marks behind each value of `skill`; one without a name where there are none."""
+        if self.verbatim:
+            return tuple((text, ()) for text in self.skills) or (("", ()),)
+        return tuple(map(read_annotation, self.skills)) or (("", ()),)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +129,8 @@ class Episode:
     images: camera -> (T+1, h, w, 3) uint8, upright.
 
     Raises:
-        EpisodeError: lengths disagree, a value is not finite, time does not go forward, T is 0.
+        EpisodeError: lengths disagree, a value is not finite, time does not go forward, T is 0, two dimensions of a
+            vector have one name.
     """
 
     meta: EpisodeMeta
@@ -142,6 +151,11 @@ class Episode:
         for name, (dtype, width, extra) in _fields(self).items():
             value = getattr(self, name)
             _check(name, value, dtype, steps + extra, width)
+        for kind in ("state_names", "achieved_names", "action_names"):
+            names = getattr(self.meta, kind)
+            if len(set(names)) < len(names):
+                twice = next(name for name in names if names.count(name) > 1)
+                raise EpisodeError(f"{kind} has {twice!r} twice: what its dimensions are called must differ")
         for camera, frames in self.images.items():
             _check(IMAGES + camera, frames, np.uint8, steps + 1, None)
             if frames.ndim != 4 or frames.shape[3] != 3:

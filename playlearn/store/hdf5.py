@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -130,6 +131,7 @@ class Demonstrations:
     """
 
     _path: Path
+    remarks: Mapping[str, str] = MappingProxyType({})
     _names: Mapping[int, str]
     _problems: Mapping[int, str]
 

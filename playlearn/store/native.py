@@ -30,6 +30,7 @@ from playlearn.store.mmap_cache import MmapCache
 from playlearn.store.tensors import DAMAGED, Layout, checksum_holds, map_tensors, read_header, write_tensors
 
 FORMAT, VERSION = "playlearn", 1
+IMPORTED = "import.json"  # beside store.json: what the episodes of an import were made from
 _MAX_LISTED = 10  # damaged files in one message
 
 
@@ -179,6 +180,14 @@ class NativeStore:
             except (EpisodeError, StoreError) as error:
                 problems.append(f"{path}: {error}")
         return problems
+
+    def remarks(self) -> dict[str, str]:
+        if not (self.path / IMPORTED).is_file():
+            return {}
+        try:
+            return dict(json.loads((self.path / IMPORTED).read_text(encoding="utf-8")).get("remarks", {}))
+        except (OSError, *DAMAGED) as error:
+            raise StoreError(f"{self.path / IMPORTED} cannot be read ({error}): import it again") from error
 
     def info(self) -> dict[str, Any]:
         present = set(self._indices)

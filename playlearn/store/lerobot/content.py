@@ -4,8 +4,9 @@
     observation.environment_state   (G,)        achieved: objects and fixtures
     action                          (A,)        the label, `expert_action`
     intervention                    (1,) bool   an expert took over (LeRobot's own name for it)
-    next.success                    (1,) bool   only where every episode had a task, so that success is known
-    task                            text        the episode's task; for play, the skill at that step
+    next.success                    (1,) bool   only where it is known of every episode
+    task                            text        the episode's task; for play, the skill at that step; the recorder's
+                                                own words unchanged
 
 Skills can stand as LeRobot's subtask annotation instead, `language_persistent`; the task of play is then "play". That
 is optional: LeRobot's own viewer (0.6.1) and PyTorch's default collate cannot take such a column.
@@ -21,11 +22,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from playlearn.episode import IMAGES, Array, Episode, read_annotation
+from playlearn.episode import IMAGES, Array, Episode
 from playlearn.store.base import Store, StoreSpec
 
 PLAY = "play"  # task of a step that has neither a task nor a skill
-SUCCEEDED = "stopped"  # how an episode ends that achieved its task
+SUCCEEDED, FAILED, UNKNOWN_END = "stopped", "length", "unknown"  # how an episode ends that had a task
 STATE, ACHIEVED, ACTION = "observation.state", "observation.environment_state", "action"
 INTERVENTION, SUCCESS = "intervention", "next.success"
 
@@ -74,7 +75,7 @@ class Play:
 
     store: the play.
     annotated: write skills as subtasks.
-    has_success: whether every episode has a task, so that success is known.
+    has_success: whether every episode has a task, and it is known whether it was achieved.
     """
 
     store: Store
@@ -82,7 +83,8 @@ class Play:
     has_success: bool = field(init=False)
 
     def __post_init__(self) -> None:
-        self.has_success = len(self.store) > 0 and all(self.store.meta(i).task for i in range(len(self.store)))
+        metas = [self.store.meta(i) for i in range(len(self.store))]
+        self.has_success = bool(metas) and all((m.task or m.verbatim) and m.ended != UNKNOWN_END for m in metas)
 
     def __len__(self) -> int:
         return len(self.store)
@@ -100,8 +102,7 @@ class Play:
         columns = steps(episode, 0, len(episode)) | ({SUCCESS: success} if self.has_success else {})
         sidecar = int(self.store.indices()[i]), episode
         annotation = subtasks(episode, 0, len(episode)) if self.annotated else ()
-        skills = [PLAY] * len(episode) if self.annotated else skill_names(episode)
-        return Entry(columns, tuple(episode.meta.task or skill or PLAY for skill in skills), annotation, sidecar)
+        return Entry(columns, tasks(episode, annotated=self.annotated), annotation, sidecar)
 
 
 def steps(episode: Episode, begin: int, end: int) -> dict[str, Array]:
@@ -125,9 +126,22 @@ def subtasks(episode: Episode, begin: int, end: int) -> tuple[tuple[int, str], .
     return tuple(found)
 
 
+def tasks(episode: Episode, *, annotated: bool) -> tuple[str, ...]:
+    """(T,) the task at each step.
+
+    annotated: whether skills stand elsewhere. The recorder's own words are tasks all the same.
+    """
+    meta = episode.meta
+    if meta.verbatim:
+        return tuple(skill_names(episode)) if meta.skills else (meta.task,) * len(episode)
+    skills = [PLAY] * len(episode) if annotated else skill_names(episode)
+    return tuple(meta.task or skill or PLAY for skill in skills)
+
+
 def skill_names(episode: Episode) -> list[str]:
-    """(T,) the skill at each step, "" for none."""
-    names = [read_annotation(text)[0].replace("_", " ") for text in episode.meta.skills] or [""]
+    """(T,) the skill at each step, "" for none: our own as words, the recorder's as they are."""
+    found = [name for name, _ in episode.meta.annotations()]
+    names = found if episode.meta.verbatim else [name.replace("_", " ") for name in found]
     return [names[skill] for skill in episode.skill]
 
 

@@ -1,6 +1,7 @@
 """A LeRobot v3.0 dataset as a store of play, without conversion.
 
-Opening reads the numbers into memory and reports everything that is missing or broken. A video is decoded once, an
+Opening reads the numbers into memory and reports everything that is missing or broken; what is whole and left out all
+the same is in `remarks`. A video is decoded once, an
 episode at a time when its images are first read, into a file that is memory-mapped from then on. The file is written
 whole or not at all, so that a killed run goes on where it was.
 
@@ -23,12 +24,17 @@ from playlearn.episode import IMAGES, STORED, Array, Episode, EpisodeMeta
 from playlearn.errors import EpisodeError, StoreError
 from playlearn.store.base import StoreSpec, summary
 from playlearn.store.lerobot import check, sidecar
-from playlearn.store.lerobot.frames import Size, decode_episode, resized
+from playlearn.store.lerobot.content import FAILED, SUCCEEDED, SUCCESS, UNKNOWN_END
+from playlearn.store.lerobot.features import Size
+from playlearn.store.lerobot.frames import decode_episode, resized
 from playlearn.store.lerobot.metadata import DatasetMetadata, Row, load_metadata
+from playlearn.store.lerobot.parts import VECTORS, dimension_names, left_out, read_features
+from playlearn.store.lerobot.subtasks import EVENTS, PERSISTENT
 from playlearn.store.mmap_cache import MmapCache
 from playlearn.store.tensors import map_tensors, read_header, write_tensors
 
 UNKNOWN = -1  # of the seed
+KEPT_IN_SIDECARS = (SUCCESS, PERSISTENT, EVENTS)  # what an export writes for others, and reads from its sidecars
 
 
 class LeRobotStore:
@@ -58,16 +64,18 @@ class LeRobotStore:
         }
         self._has_sidecars = bool(self._sidecars)
         cameras = {} if without_images else metadata.cameras
-        keys = _features(metadata, state, achieved, action)
+        self._sizes: dict[str, Size] = {name: image_size or camera.size for name, camera in cameras.items()}
+        keys = read_features(metadata, state, achieved, action)
         self._columns, problems = check.read_columns(metadata, list(keys.values()), 1 if self._has_sidecars else 2)
-        problems = check.check_counts(metadata) + problems + check.check_videos(metadata, cameras)
+        problems = check.check_counts(metadata) + problems + check.check_cameras(metadata, self._sizes)
+        problems += check.check_tasks(metadata, self._columns, keys["task"]) if "task" in keys else []
         problems += self._check_sidecars(metadata) if self._has_sidecars else []
         self._metadata, self._keys, self.problems = metadata, keys, problems
         self._rows = check.usable_episodes(metadata, problems, skip_broken)
-        self._sizes: dict[str, Size] = {name: image_size or camera.size for name, camera in cameras.items()}
         place = f"{self.path.name}-{hashlib.sha256(str(self.path.resolve()).encode()).hexdigest()[:12]}"
         self._cache = (cache or _cache_folder()) / place
         self._maps, self._sidecar_maps = MmapCache(), MmapCache()
+        self._names = {part: dimension_names(metadata, keys[part]) for part in VECTORS if part in keys}
         self.spec = self._spec()
 
     def __len__(self) -> int:
@@ -105,7 +113,9 @@ class LeRobotStore:
             actor="unknown",
             cameras=cameras,
             skills=tuple(tasks) if len(tasks) > 1 else (),
+            ended=self._ended(row),
             task=tasks[0] if len(tasks) == 1 else "",
+            verbatim=True,
         )
 
     def read(self, i: int) -> Episode:
@@ -118,6 +128,17 @@ class LeRobotStore:
             return self._maps.get(i, partial(self._frames, row))[key]
         make = self._exact_array if self._has_sidecars else self._approximate_array
         return make(i, row, key)
+
+    def remarks(self) -> dict[str, str]:
+        unread = [camera.key for name, camera in self._metadata.cameras.items() if name not in self._sizes]
+        kept = KEPT_IN_SIDECARS if self._has_sidecars else ()
+        renamed = {} if self._has_sidecars else {self._keys[part]: why for part, (_, why) in self._names.items() if why}
+        return {
+            **left_out(self._metadata, {*self._keys.values(), *kept}),
+            **self._metadata.remarks,
+            **dict.fromkeys(unread, "left out: `without_images`"),
+            **renamed,
+        }
 
     def verify(self) -> list[str]:
         problems = []
@@ -152,7 +173,7 @@ class LeRobotStore:
             return dataclasses.replace(StoreSpec.of_shapes(first, {}), cameras=self._sizes)
         metadata = self._metadata
         environment = {"type": "lerobot", "robot": metadata.robot}
-        state, achieved, action = (metadata.names(self._keys.get(part, "")) for part in ("state", "achieved", "action"))
+        state, achieved, action = (self._names.get(part, ((), ""))[0] for part in VECTORS)
         return StoreSpec(environment, state, achieved, action, metadata.fps, self._sizes)
 
     def _exact_array(self, i: int, row: Row, key: str) -> Array:
@@ -191,11 +212,17 @@ class LeRobotStore:
 
     def _tasks_of(self, row: Row) -> tuple[list[str], Array]:
         """The tasks of an episode, and (T,) int16 the task of each step; several tasks are read as skills."""
-        steps, names = self._steps(row), self._metadata.tasks
+        steps = self._steps(row)
         if "task" not in self._keys:
             return [], np.zeros(steps, np.int16)
-        numbers, own = np.unique(self._columns[row.index]["task_index"][:steps, 0].astype(int), return_inverse=True)
-        return [names[n] if 0 <= n < len(names) else f"task {n}" for n in numbers], own.astype(np.int16)
+        numbers, own = np.unique(self._columns[row.index][self._keys["task"]][:steps, 0], return_inverse=True)
+        return [self._metadata.tasks[int(n)] for n in numbers], own.astype(np.int16)
+
+    def _ended(self, row: Row) -> str:
+        """How an episode ended, as far as is recorded."""
+        if "success" not in self._keys:
+            return UNKNOWN_END
+        return SUCCEEDED if self._columns[row.index][SUCCESS].any() else FAILED
 
     def _frames(self, row: Row) -> dict[str, Array]:
         """The frames of every camera in one episode, memory-mapped; decoded first if they are not cached."""
@@ -245,29 +272,6 @@ class LeRobotStore:
                 message += f"; or remove {sidecar.FOLDER}/ to read the dataset without it"
                 problems.append(check.Problem(message, frozenset({row.index})))
         return problems
-
-
-def _features(metadata: DatasetMetadata, state: str, achieved: str, action: str) -> dict[str, str]:
-    """Part -> feature, for the parts that the dataset has.
-
-    Raises:
-        StoreError: it has no state or no action.
-    """
-    keys = {
-        "state": state,
-        "achieved": achieved,
-        "action": action,
-        "intervention": "intervention",
-        "task": "task_index",
-    }
-    present = {part: key for part, key in keys.items() if key in metadata.features}
-    for part in ("state", "action"):
-        if part not in present:
-            known = ", ".join(key for key in metadata.features if key.startswith(("observation", "action")))
-            raise StoreError(
-                f"{metadata.root} has no feature {keys[part]!r} for the {part}; it has {known}: set `{part}`"
-            )
-    return present
 
 
 def _cache_folder() -> Path:

@@ -19,6 +19,7 @@ class LeRobotRecordings:
         self.spec: StoreSpec = self._store.spec
         self.note: Mapping[str, Any] = {"format": "lerobot", "source": self._store.name()}
         self.splits: Mapping[str, Sequence[int]] = {}
+        self.remarks: Mapping[str, str] = self._store.remarks()
 
     def names(self) -> dict[int, str]:
         return {number: f"episode {number}" for number in [*self._places, *self.problems()]}
