@@ -79,7 +79,7 @@ class EpisodeMeta:
     fps: steps a second.
     seed: of the episode.
     actor: who acted.
-    skills: the annotations that `skill` indexes.
+    skills: what `skill` indexes: annotations (see `annotation`), unless they are `verbatim`.
     controller: the controller's settings.
     cameras: name -> {"height", "width"} of the recorded images.
     renderer: GL back end and device.
@@ -88,6 +88,7 @@ class EpisodeMeta:
     task: what was asked for; "" in free play.
     split: "train" or "val" where the recording fixes it; "" leaves it to the episode's number.
     success: whether its task was achieved; None where that is not known.
+    verbatim: `skills` are the recorder's own words, in which nothing is an annotation.
     """
 
     environment: Mapping[str, Any]
@@ -106,6 +107,13 @@ class EpisodeMeta:
     task: str = ""
     split: str = ""
     success: bool | None = None
+    verbatim: bool = False
+
+    def annotations(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
+        """The skill and the marks behind each value of `skill`; one without a name where there are none."""
+        if self.verbatim:
+            return tuple((text, ()) for text in self.skills) or (("", ()),)
+        return tuple(map(read_annotation, self.skills)) or (("", ()),)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +133,8 @@ class Episode:
     reward: (T,) float64 as it was recorded, whatever it means; None where there is none.
 
     Raises:
-        EpisodeError: lengths disagree, a value is not finite, time does not go forward, T is 0.
+        EpisodeError: lengths disagree, a value is not finite, time does not go forward, T is 0, two dimensions of a
+            vector have one name.
     """
 
     meta: EpisodeMeta
@@ -149,6 +158,11 @@ class Episode:
             _check(name, value, dtype, steps + extra, width)
         if self.reward is not None:
             _check(REWARD, self.reward, np.float64, steps, None)
+        for kind in ("state_names", "achieved_names", "action_names"):
+            names = getattr(self.meta, kind)
+            if len(set(names)) < len(names):
+                twice = next(name for name in names if names.count(name) > 1)
+                raise EpisodeError(f"{kind} has {twice!r} twice: what its dimensions are called must differ")
         for camera, frames in self.images.items():
             _check(IMAGES + camera, frames, np.uint8, steps + 1, None)
             if frames.ndim != 4 or frames.shape[3] != 3:

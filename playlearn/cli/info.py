@@ -23,10 +23,13 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    from playlearn.relabeling import RobotConfig
     from playlearn.store import open_store
 
     store = open_store(arguments.store)
     facts = store.info()
+    if not store.spec.achieved_names:
+        facts["goals"] = RobotConfig().describe(store.spec.state_names)
     problems = store.verify() if arguments.verify else []
     if arguments.verify:
         facts = {**facts, "problems": problems}
@@ -53,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _print_facts(facts: dict[str, Any]) -> None:
     width = max(map(len, facts), default=0)
     for name, value in facts.items():
-        print(f"{name:<{width}}  {value if isinstance(value, str) else json.dumps(value)}")
+        print(f"{name:<{width}}  {value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)}")
 
 
 VERB = Verb("info", "show what is in a store, and check that it is whole", run, add)

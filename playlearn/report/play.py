@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from playlearn.episode import Array, read_annotation
+from playlearn.episode import Array
 from playlearn.errors import UsageError
 from playlearn.layout import ObjectLayout
 from playlearn.relabeling import RelabelIndex, SettlingConfig
@@ -52,7 +52,7 @@ def attempts(store: Store) -> list[SkillAttempt]:
     """Every attempt of a store. The same skill twice in a row counts twice if its annotation says so."""
     found = []
     for i in range(len(store)):
-        annotations = [read_annotation(text) for text in store.meta(i).skills] or [("", ())]
+        annotations = store.meta(i).annotations()
         numbers = store.array(i, "skill")
         own = np.array([[name for name, _ in annotations].index(name) for name, _ in annotations])[numbers]
         gave_up, again = (np.array([mark in marks for _, marks in annotations])[numbers] for mark in (GAVE_UP, AGAIN))
@@ -211,9 +211,9 @@ def _step_fractions(store: Store) -> dict[str, float]:
     """Mark of steps -> fraction of all steps that have it."""
     counts: dict[str, int] = {}
     for i in range(len(store)):
-        annotations = store.meta(i).skills
+        annotations = store.meta(i).annotations()
         for number, count in zip(*np.unique(store.array(i, "skill"), return_counts=True), strict=True):
-            for mark in read_annotation(annotations[number])[1] if annotations else ():
+            for mark in annotations[number][1]:
                 counts[mark] = counts.get(mark, 0) + int(count)
     marks = sorted(set(counts) - {GAVE_UP, AGAIN})
     return {mark: counts[mark] / int(store.lengths().sum()) for mark in marks}

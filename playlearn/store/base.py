@@ -12,7 +12,7 @@ import draccus
 import numpy as np
 from numpy.typing import NDArray
 
-from playlearn.episode import IMAGES, Array, Episode, EpisodeMeta, read_annotation
+from playlearn.episode import IMAGES, Array, Episode, EpisodeMeta
 from playlearn.errors import StoreError
 
 _SUCCESS = {"success": True, "failure": False, "unknown": None}
@@ -161,7 +161,7 @@ def summary(store: Store) -> dict[str, Any]:
     metas = [store.meta(i) for i in range(len(store))]
     skills: dict[str, int] = {}
     for i, meta in enumerate(metas):
-        names = [read_annotation(text)[0] for text in meta.skills] or [""]
+        names = [name for name, _ in meta.annotations()]
         own = np.array([names.index(name) for name in names])[store.array(i, "skill")]  # one number a skill
         for number in own[np.flatnonzero(np.diff(own, prepend=-1))]:
             skills[names[number]] = skills.get(names[number], 0) + 1
@@ -175,6 +175,9 @@ def summary(store: Store) -> dict[str, Any]:
         "achieved": list(store.spec.achieved_names),
         "action": list(store.spec.action_names),
         "cameras": {camera: {"height": h, "width": w} for camera, (h, w) in store.cameras().items()},
+        "tasks": _count(
+            task for meta in metas for task in {meta.task, *(meta.skills if meta.verbatim else ())} if task
+        ),
         "skills": {name: count for name, count in sorted(skills.items()) if name},
         "actors": _count(meta.actor for meta in metas),
         "ended": _count(meta.ended for meta in metas),

@@ -44,6 +44,7 @@ def choose_dimensions(
     read: Callable[[], Columns],
     goal_names: Sequence[str] | None,
     where: Path,
+    without: str,
 ) -> ObjectDimensions:
     """Those of a file of somebody else.
 
@@ -51,6 +52,7 @@ def choose_dimensions(
     names: (G,) where the order is not known.
     read: all episodes.
     goal_names: patterns of the names that goals are about, whatever they depend on.
+    without: the setting that leaves goals to the robot, for messages.
 
     Raises:
         UsageError: a pattern matches nothing; or nothing is left that goals could be about.
@@ -73,8 +75,7 @@ def choose_dimensions(
     if not len(kept):
         raise UsageError(
             f"goal_names: {where}: nothing is left that goals could be about, as {', '.join(names)} are {how}. Name "
-            "those that they are about all the same (--goal_names '[\"*\"]'), or leave goals to the robot "
-            "(--achieved '[]')"
+            f"those that they are about all the same (--goal_names '[\"*\"]'), or leave goals to the robot ({without})"
         )
     return ObjectDimensions(names, tuple(kept.tolist()), remarks)
 

@@ -214,6 +214,7 @@ class RobomimicFile(Demonstrations):
             lambda: [(self._vectors(group, keys.achieved), self._vectors(group, keys.state)) for group in groups],
             goal_names,
             self._path,
+            "--achieved '[]'",
         )
 
     def _succeeded(self, group: Any, rule: SuccessRule | None) -> bool | None:

@@ -1,4 +1,4 @@
-"""Rendered scenes as examples, held-out batches, and the check for cameras."""
+"""What is said of a store before training, rendered scenes as examples, and held-out batches."""
 
 import math
 from collections.abc import Callable
@@ -12,6 +12,14 @@ from playlearn.data import Augmentation, AugmentedDataset, PlayDataset
 from playlearn.scenes import Scenes
 from playlearn.store import Store
 from playlearn.training.config import TrainConfig
+
+
+def store_remarks(config: TrainConfig, store: Store) -> list[str]:
+    """What of the store is left out or called otherwise, and where goals come from if it records no objects."""
+    settling = config.data.settling
+    robot = settling.source == "robot" or not store.spec.achieved_names
+    goals = [settling.robot.describe(store.spec.state_names)] if robot else []
+    return [*(f"{name}: {remark}" for name, remark in store.remarks().items()), *goals]
 
 
 def validation_batches(

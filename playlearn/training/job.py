@@ -33,7 +33,12 @@ from playlearn.scenes import render_scenes, scene_sizes
 from playlearn.store import Store, open_store
 from playlearn.threads import limit
 from playlearn.training.config import TrainConfig, check_out, flattened, stored_threads
-from playlearn.training.examples import rendered_scenes, validation_batches, validation_scenes
+from playlearn.training.examples import (
+    rendered_scenes,
+    store_remarks,
+    validation_batches,
+    validation_scenes,
+)
 
 
 def train(config: TrainConfig, out: Path, *, resume: bool = False) -> None:
@@ -319,7 +324,9 @@ class _Run:
             raise NotLearnedError(f"{self.out}: {complaint}; the checkpoint and the policy are kept")
 
     def describe(self) -> None:
-        """Save what is run, before it runs."""
+        """Save what is run, before it runs; say what of the store is not read, or is read otherwise than recorded."""
+        for remark in store_remarks(self.config, self.store):
+            print(f"{self.store.name()}: {remark}", file=sys.stderr, flush=True)
         self.out.mkdir(parents=True, exist_ok=True)
         self._metrics.unlink(missing_ok=True)  # of a run that left no checkpoint
         save_config(self.config, self.out / "config.yaml")

@@ -251,6 +251,14 @@ def test_memory_is_bounded_by_the_rows_that_are_read(tmp_path: Path, monkeypatch
     np.testing.assert_array_equal(taken, np.load(source)["observations"][10:12])
 
 
+def test_arrays_of_an_npz_that_are_left_out_are_named(tmp_path: Path) -> None:
+    lines: list[str] = []
+    made = OgbenchFile(ogbench(tmp_path / "more.npz", rewards=np.zeros(13)))
+    store = import_recordings(made, tmp_path / "store", say=lines.append)
+    assert lines == ["rewards: left out: no part of an episode is made from it"]
+    assert NativeStore.open(store.path).info()["remarks"] == made.remarks
+
+
 def test_broken_npz_is_refused(tmp_path: Path) -> None:
     rows = 13
     objects = np.array([{"a": 1}] * rows, dtype=object)
@@ -261,6 +269,12 @@ def test_broken_npz_is_refused(tmp_path: Path) -> None:
         ("images", {"observations": np.zeros((rows, 8, 8, 3), np.uint8)}, "holds images"),
         ("maze", {"observations": np.zeros((rows, 29), np.float32)}, "neither a cube environment"),
         ("ant", {"actions": np.zeros((rows, 8), np.float32)}, "not those of a manipulation environment"),
+        ("texts", {"actions": np.full((rows, 5), "a")}, "texts.npz: actions is of <U1, not of numbers"),
+        (
+            "ends",
+            {"terminals": np.zeros((rows, 2), bool)},
+            r"ends.npz: terminals of the shape \(13, 2\), not one for each row",
+        ),
         ("columns", {"observations": np.asfortranarray(np.zeros((rows, 28), np.float32))}, "column by column"),
     ):
         with pytest.raises(StoreError, match=message):

@@ -20,7 +20,10 @@ class LeRobotStoreConfig(StoreConfig):
     repo_id: name of the dataset on the Hub; LeRobot's own folders are searched first.
     revision: of the dataset on the Hub (null: the tag of the format's version).
     state: feature of the robot's proprioception.
-    achieved: feature of the objects; settled moments are read from the robot if the dataset has no such feature.
+    achieved: feature of the objects; settled moments are read from the robot if the dataset has no such feature, or if
+        this is "".
+    goal_names: shell-style patterns of its dimensions that goals are about (null: all that do not change with the hand
+        while nothing else does).
     action: feature of the commanded actions.
     image_size: (height, width) that every camera is scaled to (null: its own size).
     cache: folder of the decoded frames (null: the user's cache folder).
@@ -35,6 +38,7 @@ class LeRobotStoreConfig(StoreConfig):
     revision: str | None = None
     state: str = "observation.state"
     achieved: str = "observation.environment_state"
+    goal_names: tuple[str, ...] | None = None
     action: str = "action"
     image_size: tuple[int, int] | None = None
     cache: Path | None = None
@@ -65,6 +69,7 @@ class LeRobotStoreConfig(StoreConfig):
             root,
             state=self.state,
             achieved=self.achieved,
+            goal_names=self.goal_names,
             action=self.action,
             image_size=self.image_size,
             cache=self.cache,

@@ -6,7 +6,8 @@
     intervention                    (1,) bool   an expert took over (LeRobot's own name for it)
     next.success                    (1,) bool   only where it is known of every episode
     next.reward                     (1,)        only where every episode has recorded rewards
-    task                            text        the episode's task; for play, the skill at that step
+    task                            text        the episode's task; for play, the skill at that step; the recorder's
+                                                own words unchanged
 
 Skills can stand as LeRobot's subtask annotation instead, `language_persistent`; the task of play is then "play". That
 is optional: LeRobot's own viewer (0.6.1) and PyTorch's default collate cannot take such a column.
@@ -22,7 +23,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from playlearn.episode import IMAGES, Array, Episode, read_annotation
+from playlearn.episode import IMAGES, Array, Episode
 from playlearn.store.base import Store, StoreSpec
 
 PLAY = "play"  # task of a step that has neither a task nor a skill
@@ -107,8 +108,7 @@ class Play:
             columns[NEXT_REWARD] = episode.reward[:, None].astype(np.float32)
         sidecar = int(self.store.indices()[i]), episode
         annotation = subtasks(episode, 0, len(episode)) if self.annotated else ()
-        skills = [PLAY] * len(episode) if self.annotated else skill_names(episode)
-        return Entry(columns, tuple(episode.meta.task or skill or PLAY for skill in skills), annotation, sidecar)
+        return Entry(columns, tasks(episode, annotated=self.annotated), annotation, sidecar)
 
 
 def steps(episode: Episode, begin: int, end: int) -> dict[str, Array]:
@@ -132,9 +132,22 @@ def subtasks(episode: Episode, begin: int, end: int) -> tuple[tuple[int, str], .
     return tuple(found)
 
 
+def tasks(episode: Episode, *, annotated: bool) -> tuple[str, ...]:
+    """(T,) the task at each step.
+
+    annotated: whether skills stand elsewhere. The recorder's own words are tasks all the same.
+    """
+    meta = episode.meta
+    if meta.verbatim:
+        return tuple(skill_names(episode)) if meta.skills else (meta.task,) * len(episode)
+    skills = [PLAY] * len(episode) if annotated else skill_names(episode)
+    return tuple(meta.task or skill or PLAY for skill in skills)
+
+
 def skill_names(episode: Episode) -> list[str]:
-    """(T,) the skill at each step, "" for none."""
-    names = [read_annotation(text)[0].replace("_", " ") for text in episode.meta.skills] or [""]
+    """(T,) the skill at each step, "" for none: our own as words, the recorder's as they are."""
+    found = [name for name, _ in episode.meta.annotations()]
+    names = found if episode.meta.verbatim else [name.replace("_", " ") for name in found]
     return [names[skill] for skill in episode.skill]
 
 

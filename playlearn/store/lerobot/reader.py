@@ -1,6 +1,7 @@
 """A LeRobot v3.0 dataset as a store of play, without conversion.
 
-Opening reads the numbers into memory and reports everything that is missing or broken. A video is decoded once, an
+Opening reads the numbers into memory and reports everything that is missing or broken; what is whole and left out all
+the same is in `remarks`. A video is decoded once, an
 episode at a time when its images are first read, into a file that is memory-mapped from then on. The file is written
 whole or not at all, so that a killed run goes on where it was.
 
@@ -23,14 +24,24 @@ from playlearn.episode import IMAGES, REWARD, STORED, Array, Episode, EpisodeMet
 from playlearn.errors import EpisodeError, StoreError
 from playlearn.store.base import StoreSpec, summary
 from playlearn.store.lerobot import check, sidecar
-from playlearn.store.lerobot.frames import Size, decode_episode, resized
+from playlearn.store.lerobot.content import NEXT_REWARD, SUCCESS
+from playlearn.store.lerobot.features import Size
+from playlearn.store.lerobot.frames import decode_episode, resized
 from playlearn.store.lerobot.metadata import DatasetMetadata, Row, load_metadata
+from playlearn.store.lerobot.parts import FLAGS, VECTORS, dimension_names, left_out, read_features
+from playlearn.store.lerobot.subtasks import EVENTS, PERSISTENT
 from playlearn.store.mmap_cache import MmapCache
+from playlearn.store.object_dimensions import ObjectDimensions, choose_dimensions, own_dimensions
 from playlearn.store.success import Signals, SuccessRule, how_ended
 from playlearn.store.tensors import map_tensors, read_header, write_tensors
 
 UNKNOWN = -1  # of the seed
-OUTCOMES = {"success": "next.success", "reward": "next.reward", "done": "next.done"}  # part -> feature
+KEPT_IN_SIDECARS = (
+    SUCCESS,
+    NEXT_REWARD,
+    PERSISTENT,
+    EVENTS,
+)  # what an export writes for others, and reads from its sidecars
 
 
 class LeRobotStore:
@@ -47,6 +58,7 @@ class LeRobotStore:
         cache: Path | None = None,
         without_images: bool = False,
         skip_broken: bool = False,
+        goal_names: tuple[str, ...] | None = None,
         success: str | None = None,
     ) -> None:
         """root: folder of the dataset; the others are the fields of `LeRobotStoreConfig`.
@@ -61,18 +73,21 @@ class LeRobotStore:
         }
         self._has_sidecars = bool(self._sidecars)
         cameras = {} if without_images else metadata.cameras
-        keys = _features(metadata, state, achieved, action)
+        self._sizes: dict[str, Size] = {name: image_size or camera.size for name, camera in cameras.items()}
+        keys = read_features(metadata, state, achieved, action)
         self._columns, problems = check.read_columns(metadata, list(keys.values()), 1 if self._has_sidecars else 2)
-        problems = check.check_counts(metadata) + problems + check.check_videos(metadata, cameras)
+        problems = check.check_counts(metadata) + problems + check.check_cameras(metadata, self._sizes)
+        problems += check.check_tasks(metadata, self._columns, keys["task"]) if "task" in keys else []
         problems += self._check_sidecars(metadata) if self._has_sidecars else []
         self._metadata, self._keys, self.problems = metadata, keys, problems
         self._rows = check.usable_episodes(metadata, problems, skip_broken)
-        self._sizes: dict[str, Size] = {name: image_size or camera.size for name, camera in cameras.items()}
         place = f"{self.path.name}-{hashlib.sha256(str(self.path.resolve()).encode()).hexdigest()[:12]}"
         self._cache = (cache or _cache_folder()) / place
         self._maps, self._sidecar_maps = MmapCache(), MmapCache()
         rule = None if success is None else SuccessRule(success)
         self._success = {row.index: self._succeeded(row, rule) for row in self._rows}
+        self._names = {part: dimension_names(metadata, keys[part]) for part in VECTORS if part in keys}
+        self._objects = self._dimensions(goal_names)
         self.spec = self._spec()
 
     def __len__(self) -> int:
@@ -114,6 +129,7 @@ class LeRobotStore:
             ended=how_ended(success),
             task=tasks[0] if len(tasks) == 1 else "",
             success=success,
+            verbatim=True,
         )
 
     def read(self, i: int) -> Episode:
@@ -130,7 +146,16 @@ class LeRobotStore:
         return make(i, row, key)
 
     def remarks(self) -> dict[str, str]:
-        return {}
+        unread = [camera.key for name, camera in self._metadata.cameras.items() if name not in self._sizes]
+        kept = KEPT_IN_SIDECARS if self._has_sidecars else ()
+        renamed = {} if self._has_sidecars else {self._keys[part]: why for part, (_, why) in self._names.items() if why}
+        return {
+            **left_out(self._metadata, {*self._keys.values(), *kept}),
+            **self._metadata.remarks,
+            **dict.fromkeys(unread, "left out: `without_images`"),
+            **renamed,
+            **self._objects.remarks,
+        }
 
     def rewards(self, i: int) -> Array | None:
         row = self._row(i)
@@ -173,8 +198,8 @@ class LeRobotStore:
             return dataclasses.replace(StoreSpec.of_shapes(first, {}), cameras=self._sizes)
         metadata = self._metadata
         environment = {"type": "lerobot", "robot": metadata.robot}
-        state, achieved, action = (metadata.names(self._keys.get(part, "")) for part in ("state", "achieved", "action"))
-        return StoreSpec(environment, state, achieved, action, metadata.fps, self._sizes)
+        state, action = (self._names[part][0] for part in ("state", "action"))
+        return StoreSpec(environment, state, self._objects.goals(), action, metadata.fps, self._sizes)
 
     def _exact_array(self, i: int, row: Row, key: str) -> Array:
         arrays = self._sidecar_maps.get(i, self._sidecars[row.index].arrays)
@@ -196,7 +221,7 @@ class LeRobotStore:
         intervention = columns[self._keys["intervention"]][:steps, 0] > 0 if "intervention" in self._keys else None
         arrays = {
             "state": columns[self._keys["state"]],
-            "achieved": columns[self._keys["achieved"]] if "achieved" in self._keys else empty.astype(np.float32),
+            "achieved": self._column(row, "achieved")[:, list(self._objects.kept)],
             "sim_state": empty,
             "time": np.arange(steps + 1) / self.spec.fps,
             "action": action,
@@ -210,9 +235,28 @@ class LeRobotStore:
             raise StoreError(f"{self.path} has no {key}: it has {', '.join(known)}")
         return stored[key]
 
+    def _column(self, row: Row, part: str) -> Array:
+        """(length, n) the numbers of a part of one episode; n = 0 where the dataset has none."""
+        key = self._keys.get(part)
+        return np.zeros((row.length, 0), np.float32) if key is None else self._columns[row.index][key]
+
+    def _dimensions(self, goal_names: tuple[str, ...] | None) -> ObjectDimensions:
+        """What goals are about. Play that was recorded here knows; elsewhere what depends on the hand is left out."""
+        names = self._names["achieved"][0] if "achieved" in self._names else ()
+        if self._has_sidecars:
+            return own_dimensions(names, None)
+        return choose_dimensions(
+            None,
+            names,
+            lambda: [(self._column(row, "achieved"), self._column(row, "state")) for row in self._rows],
+            goal_names,
+            self.path,
+            'achieved: ""',
+        )
+
     def _succeeded(self, row: Row, rule: SuccessRule | None) -> bool | None:
         """Whether an episode without a sidecar succeeded; None where that is not known."""
-        own = {part: self._columns[row.index][key] for part, key in self._keys.items() if part in OUTCOMES}
+        own = {part: self._columns[row.index][key] for part, key in self._keys.items() if part in FLAGS}
         if rule is not None:
             where = f"{self.path}: episode {row.index}"
             return rule(Signals(*(own[part][:, 0] if part in own else None for part in ("reward", "done"))), where)
@@ -220,11 +264,11 @@ class LeRobotStore:
 
     def _tasks_of(self, row: Row) -> tuple[list[str], Array]:
         """The tasks of an episode, and (T,) int16 the task of each step; several tasks are read as skills."""
-        steps, names = self._steps(row), self._metadata.tasks
+        steps = self._steps(row)
         if "task" not in self._keys:
             return [], np.zeros(steps, np.int16)
-        numbers, own = np.unique(self._columns[row.index]["task_index"][:steps, 0].astype(int), return_inverse=True)
-        return [names[n] if 0 <= n < len(names) else f"task {n}" for n in numbers], own.astype(np.int16)
+        numbers, own = np.unique(self._columns[row.index][self._keys["task"]][:steps, 0], return_inverse=True)
+        return [self._metadata.tasks[int(n)] for n in numbers], own.astype(np.int16)
 
     def _frames(self, row: Row) -> dict[str, Array]:
         """The frames of every camera in one episode, memory-mapped; decoded first if they are not cached."""
@@ -274,30 +318,6 @@ class LeRobotStore:
                 message += f"; or remove {sidecar.FOLDER}/ to read the dataset without it"
                 problems.append(check.Problem(message, frozenset({row.index})))
         return problems
-
-
-def _features(metadata: DatasetMetadata, state: str, achieved: str, action: str) -> dict[str, str]:
-    """Part -> feature, for the parts that the dataset has.
-
-    Raises:
-        StoreError: it has no state or no action.
-    """
-    keys = {
-        "state": state,
-        "achieved": achieved,
-        "action": action,
-        "intervention": "intervention",
-        "task": "task_index",
-        **OUTCOMES,
-    }
-    present = {part: key for part, key in keys.items() if key in metadata.features}
-    for part in ("state", "action"):
-        if part not in present:
-            known = ", ".join(key for key in metadata.features if key.startswith(("observation", "action")))
-            raise StoreError(
-                f"{metadata.root} has no feature {keys[part]!r} for the {part}; it has {known}: set `{part}`"
-            )
-    return present
 
 
 def _cache_folder() -> Path:
