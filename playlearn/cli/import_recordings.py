@@ -59,12 +59,14 @@ def _ogbench(source: Path, overrides: list[str]) -> Any:
 
 
 def _lerobot(source: Path, overrides: list[str]) -> Any:
-    from playlearn.config import load_config
+    from playlearn.config import load_config, to_dict
     from playlearn.store.lerobot.config import LeRobotStoreConfig
     from playlearn.store.lerobot.recordings import LeRobotRecordings
 
     config = load_config(LeRobotStoreConfig, None, [f"--root={json.dumps(str(source))}", *overrides])
-    return LeRobotRecordings(replace(config, skip_broken=True).build())
+    elsewhere = ("root", "cache", "skip_broken")  # of no bearing on what is read
+    settings = {name: value for name, value in to_dict(config).items() if name not in elsewhere}
+    return LeRobotRecordings(replace(config, skip_broken=True).build(), settings)
 
 
 FORMATS = {"lerobot": _lerobot, "robomimic": _robomimic, "robosuite": _robosuite, "ogbench": _ogbench}

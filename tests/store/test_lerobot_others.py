@@ -11,14 +11,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from playlearn.errors import StoreError
+from playlearn.errors import StoreError, UsageError
 from playlearn.store import LeRobotStoreConfig, NativeStore, open_store
 from playlearn.store.importing import import_recordings
 from playlearn.store.lerobot import sidecar
-from playlearn.store.lerobot.content import Play, tasks
+from playlearn.store.lerobot.content import ACHIEVED, ACTION, Play, tasks
 from playlearn.store.lerobot.reader import LeRobotStore
 from playlearn.store.lerobot.recordings import LeRobotRecordings
 from tests.lerobot_dataset import DATA, TASKS, change_info, encoded, image, vector, write_dataset
+from tests.store.test_hand import STEPS, cube, hand
 from tests.synthetic import make_episode
 
 LENGTHS = (12, 9)
@@ -116,6 +117,52 @@ def test_success_is_what_is_recorded_else_unknown(tmp_path: Path) -> None:
     assert [store.meta(i).success for i in range(2)] == [False, True]
     assert [bool(Play(store).entry(i).columns["next.success"].any()) for i in range(2)] == [False, True]
     assert store.remarks() == {}
+
+
+def test_a_reward_is_no_success_and_comes_back(tmp_path: Path) -> None:
+    reward = np.where(np.arange(N) % 5 == 4, 1.0, -0.25)
+    features = {"next.reward": vector(None, 1), "next.done": vector(None, 1, "bool")}
+    ends = np.isin(np.arange(N), np.cumsum(LENGTHS) - 1)
+    root = dataset(tmp_path / "made", features, {"next.reward": reward.astype(np.float32), "next.done": ends})
+    store = opened(root)
+    assert store.info()["success"] == {"success": 0, "failure": 0, "unknown": 2}
+    assert store.remarks() == {}
+    episode = store.read(1)
+    assert episode.reward is not None
+    np.testing.assert_array_equal(episode.reward, reward[LENGTHS[0] : -1])
+    columns = Play(store).entry(1).columns
+    np.testing.assert_array_equal(columns["next.reward"][:, 0], reward[LENGTHS[0] : -1])
+    assert "next.success" not in columns
+    for rule, success in {"reward>=1": True, "reward>1": False, "dones": True, "none": False}.items():
+        said = LeRobotStoreConfig(root=root, success=rule).build()
+        assert [said.meta(i).success for i in range(2)] == [success] * 2
+    with pytest.raises(UsageError, match=r"asks for rewards, and .*episode 0 has none"):
+        LeRobotStoreConfig(root=dataset(tmp_path / "bare"), success="reward>=1").build().meta(0)
+
+
+def test_goals_are_not_about_what_depends_on_the_hand(tmp_path: Path) -> None:
+    """As robosuite observes a cube: by its place, and by its place relative to the hand."""
+    rng, made = np.random.default_rng(0), []
+    for _ in range(4):
+        at = hand(rng)
+        own = cube(rng, at)
+        made.append((np.concatenate([at, at], 1), np.concatenate([own, own - at], 1)))
+    state, objects = (np.concatenate(rows).astype(np.float32) for rows in zip(*made, strict=True))
+    names = ["cube.x", "cube.y", "cube.z", "to_cube.x", "to_cube.y", "to_cube.z"]
+    features = {STATE: vector(None, 6), ACHIEVED: vector(names), ACTION: vector(None, 6)}
+    root = write_dataset(tmp_path / "made", features, {STATE: state, ACHIEVED: objects, ACTION: state}, [STEPS] * 4)
+    store = LeRobotStoreConfig(root=root).build()
+    assert store.spec.achieved_names == ("cube.x", "cube.y", "cube.z")
+    np.testing.assert_array_equal(store.read(1).achieved, objects[STEPS : 2 * STEPS, :3])
+    [(left, why)] = store.remarks().items()
+    assert left == "to_cube.x, to_cube.y, to_cube.z"
+    assert "changing with the hand while nothing else does" in why
+    chosen = LeRobotStoreConfig(root=root, goal_names=("to_cube.?",)).build()
+    assert chosen.spec.achieved_names == ("to_cube.x", "to_cube.y", "to_cube.z")
+    np.testing.assert_array_equal(chosen.read(1).achieved, objects[STEPS : 2 * STEPS, 3:])
+    with pytest.raises(UsageError, match=r"goal_names: .* nothing is left that goals could be about"):
+        LeRobotStoreConfig(root=root, achieved=STATE).build()
+    assert LeRobotStoreConfig(root=root, achieved="").build().spec.achieved_names == ()
 
 
 def test_a_task_without_text_is_named(tmp_path: Path) -> None:

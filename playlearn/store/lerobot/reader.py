@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from playlearn.episode import IMAGES, REWARD, STORED, Array, Episode, EpisodeMeta
-from playlearn.errors import EpisodeError, StoreError
+from playlearn.errors import EpisodeError, StoreError, UsageError
 from playlearn.store.base import StoreSpec, summary
 from playlearn.store.lerobot import check, sidecar
 from playlearn.store.lerobot.content import NEXT_REWARD, SUCCESS
@@ -84,8 +84,7 @@ class LeRobotStore:
         place = f"{self.path.name}-{hashlib.sha256(str(self.path.resolve()).encode()).hexdigest()[:12]}"
         self._cache = (cache or _cache_folder()) / place
         self._maps, self._sidecar_maps = MmapCache(), MmapCache()
-        rule = None if success is None else SuccessRule(success)
-        self._success = {row.index: self._succeeded(row, rule) for row in self._rows}
+        self._rule = None if success is None else SuccessRule(success)
         self._names = {part: dimension_names(metadata, keys[part]) for part in VECTORS if part in keys}
         self._objects = self._dimensions(goal_names)
         self.spec = self._spec()
@@ -112,10 +111,11 @@ class LeRobotStore:
     def meta(self, i: int) -> EpisodeMeta:
         row = self._row(i)
         if self._has_sidecars:
-            return self._sidecars[row.index].meta
+            own = self._sidecars[row.index].meta
+            return own if self._rule is None else dataclasses.replace(own, success=self._succeeded(row))
         cameras = {name: {"height": h, "width": w} for name, (h, w) in self._sizes.items()}
         tasks, _ = self._tasks_of(row)
-        success = self._success[row.index]
+        success = self._succeeded(row)
         return EpisodeMeta(
             environment=self.spec.environment,
             state_names=self.spec.state_names,
@@ -244,6 +244,11 @@ class LeRobotStore:
         """What goals are about. Play that was recorded here knows; elsewhere what depends on the hand is left out."""
         names = self._names["achieved"][0] if "achieved" in self._names else ()
         if self._has_sidecars:
+            if goal_names is not None:
+                raise UsageError(
+                    f"goal_names: {self.path} is an export of play, which is read as it was: say what goals are about "
+                    "by data.goal_names"
+                )
             return own_dimensions(names, None)
         return choose_dimensions(
             None,
@@ -254,12 +259,11 @@ class LeRobotStore:
             'achieved: ""',
         )
 
-    def _succeeded(self, row: Row, rule: SuccessRule | None) -> bool | None:
-        """Whether an episode without a sidecar succeeded; None where that is not known."""
-        own = {part: self._columns[row.index][key] for part, key in self._keys.items() if part in FLAGS}
-        if rule is not None:
-            where = f"{self.path}: episode {row.index}"
-            return rule(Signals(*(own[part][:, 0] if part in own else None for part in ("reward", "done"))), where)
+    def _succeeded(self, row: Row) -> bool | None:
+        """Whether an episode succeeded, as the user or the dataset says; None where that is not known."""
+        own = {part: self._columns[row.index][key][:, 0] for part, key in self._keys.items() if part in FLAGS}
+        if self._rule is not None:
+            return self._rule(Signals(own.get("reward"), own.get("done")), f"{self.path}: episode {row.index}")
         return bool(own["success"].any()) if "success" in own else None
 
     def _tasks_of(self, row: Row) -> tuple[list[str], Array]:
