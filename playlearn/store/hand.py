@@ -16,8 +16,9 @@ SET_OUT = 0.3  # of its range in the recordings: how far some part of the robot 
 CHANGED = 0.05  # of its range: how far a dimension changes there
 STILL = 0.01  # of its range: within what it rests
 REST = 5  # observations
-MODES = 6  # directions in which the robot moves
-EXPLAINED = 0.95  # of the variance, by the robot's motion
+MOTION = 0.98  # of the variance of the robot's motion, in its main directions
+EXPLAINED = 0.95  # of a dimension's variance, by the robot's motion
+EXACT = 0.999  # where the robot never rests: what is smooth looks alike
 OFTEN = 0.3  # of the episodes
 AT_MOST = 50  # episodes that are looked at
 
@@ -33,15 +34,13 @@ def moves_with_hand(objects: Sequence[Array], robot: Sequence[Array]) -> NDArray
     chosen = np.unique(np.linspace(0, len(objects) - 1, min(len(objects), AT_MOST)).round().astype(int))
     objects, robot = ([np.asarray(rows[i], np.float64) for i in chosen] for rows in (objects, robot))
     scale, reach = _range(objects), _range(robot)
-    openings = [n for rows in robot if (n := _opening(rows / reach))]
-    votes = np.zeros(scale.shape)
+    together, rests = _rest_together(objects, robot, scale, reach)
+    votes, openings = np.zeros(scale.shape), 0
     for own, rows in zip(objects, robot, strict=True):
         if n := _opening(rows / reach):
-            votes += _explained(own[:n] / scale, rows[:n] / reach)
-    if not openings:
-        return np.zeros(scale.shape, np.bool_)
-    often = votes >= max(OFTEN * len(openings), 1)
-    return np.asarray(often & _rest_together(objects, robot, scale, reach))
+            votes += _explained(own[:n] / scale, rows[:n] / reach, EXPLAINED if rests else EXACT)
+            openings += 1
+    return np.asarray(together & (votes >= max(OFTEN * openings, 1)))
 
 
 def _range(rows: Sequence[Array]) -> Array:
@@ -58,18 +57,20 @@ def _opening(robot: Array) -> int:
     return length if length <= max(SHORTEST, len(robot) // 2) and length <= len(robot) else 0
 
 
-def _explained(own: Array, robot: Array) -> NDArray[np.bool_]:
-    """(G,) what changes in an opening (n, G), and is a linear function of the robot's main directions of motion."""
-    centered = robot - robot.mean(axis=0)
-    motion = np.linalg.svd(centered, full_matrices=False)[0][:, :MODES]
+def _explained(own: Array, robot: Array, share: float) -> NDArray[np.bool_]:
+    """(G,) what changes in an opening (n, G), and is to this share a linear function of the robot's motion (n, S)."""
+    directions, size, _ = np.linalg.svd(robot - robot.mean(axis=0), full_matrices=False)
+    power = np.cumsum(np.square(size))
+    motion = directions[:, : int(np.searchsorted(power, MOTION * power[-1])) + 1]
     values = own - own.mean(axis=0)
-    left = values - motion @ (motion.T @ values)
-    whole = np.square(values).sum(axis=0)
-    return np.asarray((np.ptp(own, axis=0) > CHANGED) & (np.square(left).sum(axis=0) <= (1 - EXPLAINED) * whole))
+    left = np.square(values - motion @ (motion.T @ values)).sum(axis=0)
+    return np.asarray((np.ptp(own, axis=0) > CHANGED) & (left <= (1 - share) * np.square(values).sum(axis=0)))
 
 
-def _rest_together(objects: Sequence[Array], robot: Sequence[Array], scale: Array, reach: Array) -> NDArray[np.bool_]:
-    """(G,) whether a dimension rests in nearly all windows in which the robot does; True where it never rests."""
+def _rest_together(
+    objects: Sequence[Array], robot: Sequence[Array], scale: Array, reach: Array
+) -> tuple[NDArray[np.bool_], int]:
+    """(G,) whether a dimension rests in nearly all windows in which the robot does; and how many these are."""
     still, windows = np.zeros(scale.shape), 0
     for own, rows in zip(objects, robot, strict=True):
         for begin in range(0, len(rows) - REST + 1, REST):
@@ -77,4 +78,4 @@ def _rest_together(objects: Sequence[Array], robot: Sequence[Array], scale: Arra
             if (np.ptp(rows[part], axis=0) < STILL * reach).all():
                 still += np.ptp(own[part], axis=0) < 2 * STILL * scale
                 windows += 1
-    return still >= 0.9 * windows
+    return still >= 0.9 * windows, windows

@@ -219,11 +219,11 @@ class RobomimicFile(Demonstrations):
 
     def _succeeded(self, group: Any, rule: SuccessRule | None) -> bool | None:
         """Whether a demonstration succeeded; None where that is not known."""
-        own, said = _signals(group), group.attrs.get("success")
+        own, stated = _signals(group), group.attrs.get("success")
         if rule is not None:
             return rule(own, f"{self._path}: {group.name}")
-        if isinstance(said, np.bool_):  # as `robomimic_export` writes it
-            return bool(said)
+        if isinstance(stated, np.bool_):  # as `robomimic_export` writes it
+            return bool(stated)
         return bool(own.rewards.any()) if self._sparse and own.rewards is not None else None
 
     def _parts(self, keys: Sequence[str]) -> tuple[str, ...]:

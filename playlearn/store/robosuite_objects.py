@@ -150,9 +150,9 @@ def known_order(
     """
     every = np.concatenate(objects)
     orders = object_orders(task, every.shape[1])
-    agreeing = [one for one in orders if one.agrees(every, hands)]
-    if agreeing or not orders:
-        return agreeing[0] if len(agreeing) == 1 else None
+    consistent = [one for one in orders if one.agrees(every, hands)]
+    if consistent or not orders:
+        return consistent[0] if len(consistent) == 1 else None
     # No distances to compare: an order is possible unless what it takes for objects moves with the hand.
     with_hand = moves_with_hand(objects, robot)
     possible = [one for one in orders if not (with_hand & ~np.array(one.marked("*"))).any()]

@@ -67,6 +67,20 @@ def test_nothing_is_said_where_the_robot_does_not_move_or_is_not_recorded() -> N
     assert not moves_with_hand([one[:5] for one in objects], [hand(rng)[:5]] * 3).any()
 
 
+@pytest.mark.parametrize("size", [2, 7, 14])
+def test_two_that_move_smoothly_all_the_time_do_not_depend_on_each_other(size: int) -> None:
+    rng = np.random.default_rng(0)
+
+    def wander(dimensions: int) -> Array:
+        steps = rng.normal(size=(300, dimensions))
+        return np.stack([np.convolve(np.cumsum(own), np.ones(15) / 15, "valid") for own in steps.T], 1)
+
+    robot = [wander(size) for _ in range(10)]
+    assert not moves_with_hand([wander(6) for _ in robot], robot).any()
+    relative = moves_with_hand([wander(1)[:1] - one[:, :2] for one in robot], robot)
+    assert relative.all()  # from a fixed place to one that moves
+
+
 def can(at: Array, own: Array, order: str) -> Array:
     """(T, 14) `object` of PickPlaceCan."""
     still = np.tile([0.0, 0, 0, 1], (len(at), 1))
