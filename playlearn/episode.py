@@ -19,6 +19,7 @@ from playlearn.errors import EpisodeError
 
 Array = NDArray[Any]
 IMAGES = "observation.images."
+REWARD = "reward"
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +88,7 @@ class EpisodeMeta:
     task: what was asked for; "" in free play.
     split: "train" or "val" where the recording fixes it; "" leaves it to the episode's number.
     verbatim: `skills` are the recorder's own words, in which nothing is an annotation.
+    success: whether its task was achieved; None where that is not known.
     """
 
     environment: Mapping[str, Any]
@@ -105,6 +107,7 @@ class EpisodeMeta:
     task: str = ""
     split: str = ""
     verbatim: bool = False
+    success: bool | None = None
 
     def annotations(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
         """The skill and the marks behind each value of `skill`; one without a name where there are none."""
@@ -127,6 +130,7 @@ class Episode:
     intervention: (T,) bool.
     skill: (T,) int16, an index into `meta.skills`.
     images: camera -> (T+1, h, w, 3) uint8, upright.
+    reward: (T,) float64 as it was recorded, whatever it means; None where there is none.
 
     Raises:
         EpisodeError: lengths disagree, a value is not finite, time does not go forward, T is 0, two dimensions of a
@@ -143,6 +147,7 @@ class Episode:
     intervention: Array
     skill: Array
     images: Mapping[str, Array] = field(default_factory=dict)
+    reward: Array | None = None
 
     def __post_init__(self) -> None:
         steps = len(self.action)
@@ -151,6 +156,8 @@ class Episode:
         for name, (dtype, width, extra) in _fields(self).items():
             value = getattr(self, name)
             _check(name, value, dtype, steps + extra, width)
+        if self.reward is not None:
+            _check(REWARD, self.reward, np.float64, steps, None)
         for kind in ("state_names", "achieved_names", "action_names"):
             names = getattr(self.meta, kind)
             if len(set(names)) < len(names):
@@ -176,6 +183,7 @@ class Episode:
     def arrays(self) -> dict[str, Array]:
         """Every array under its stored name (`observation.state`, `action`, ...)."""
         plain = {stored: getattr(self, name) for name, stored in STORED.items()}
+        plain |= {} if self.reward is None else {REWARD: self.reward}
         return plain | {IMAGES + camera: frames for camera, frames in self.images.items()}
 
     @classmethod
@@ -185,7 +193,8 @@ class Episode:
         if missing:
             raise EpisodeError(f"an episode without {', '.join(missing)}")
         images = {key.removeprefix(IMAGES): value for key, value in arrays.items() if key.startswith(IMAGES)}
-        return cls(meta=meta, images=images, **{name: arrays[stored] for name, stored in STORED.items()})
+        stored = {name: arrays[key] for name, key in STORED.items()}
+        return cls(meta=meta, images=images, reward=arrays.get(REWARD), **stored)
 
 
 def annotation(skill: str, marks: Sequence[str] = ()) -> str:

@@ -26,8 +26,13 @@ def run(arguments: argparse.Namespace) -> int:
         skip = arguments.skip_broken
         store = import_recordings(recordings, arguments.out, skip_broken=skip, progress=progress.to, say=progress.say)
     print(f"{arguments.out}: {len(store)} episodes, {int(store.lengths().sum())} steps")
+    here = set(store.indices().tolist())
     for name, numbers in recordings.splits.items():
-        print(f"mask {name}: {len(numbers)} episodes")
+        print(f"mask {name}: {len(here & set(numbers))} of its {len(numbers)} episodes")
+    success = store.info()["success"]
+    print("success: " + ", ".join(f"{what} {count}" for what, count in success.items()))
+    if success["unknown"] and "success" in recordings.note:
+        print("a reward is not a success: say which episodes succeeded by --success, such as 'last_reward>=0' or all")
     return DONE
 
 

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from playlearn.episode import IMAGES, Array, Episode, EpisodeMeta
 from playlearn.errors import StoreError
 
+_SUCCESS = {"success": True, "failure": False, "unknown": None}
+
 
 @dataclass(frozen=True)
 class StoreConfig(draccus.ChoiceRegistry):
@@ -109,6 +111,10 @@ class Store(Protocol):
         """Array, feature or camera of the source -> why it is left out, or not called what it is called there."""
         ...
 
+    def rewards(self, i: int) -> Array | None:
+        """(T,) the rewards that episode i was recorded with; None where there are none."""
+        ...
+
     def verify(self) -> list[str]:
         """One line for each problem; reads everything. Empty: the store is intact."""
         ...
@@ -175,6 +181,7 @@ def summary(store: Store) -> dict[str, Any]:
         "skills": {name: count for name, count in sorted(skills.items()) if name},
         "actors": _count(meta.actor for meta in metas),
         "ended": _count(meta.ended for meta in metas),
+        "success": {what: sum(meta.success is value for meta in metas) for what, value in _SUCCESS.items()},
         "versions": {
             package: sorted({meta.versions[package] for meta in metas if package in meta.versions})
             for package in sorted({package for meta in metas for package in meta.versions})

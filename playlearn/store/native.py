@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from playlearn.config import atomic_write
-from playlearn.episode import Array, Episode, EpisodeMeta
+from playlearn.episode import REWARD, Array, Episode, EpisodeMeta
 from playlearn.errors import EpisodeError, StoreError
 from playlearn.store.base import StoreConfig, StoreSpec, from_json, summary, to_json, with_images
 from playlearn.store.folder import check_free, episode_path, foreign_files, indices, locked, make_folder, sweep
@@ -161,6 +161,9 @@ class NativeStore:
         if key not in arrays:
             raise StoreError(f"{self.path} has no {key}: it has {', '.join(sorted(arrays))}")
         return arrays[key]
+
+    def rewards(self, i: int) -> Array | None:
+        return self._arrays(i).get(REWARD)
 
     def with_images(self, i: int, images: Mapping[str, Array], renderer: str) -> Episode:
         """Episode i with other images, for a store of its own (see `base.with_images`)."""

@@ -108,12 +108,12 @@ def test_an_empty_task_stays_empty(tmp_path: Path) -> None:
 
 def test_success_is_what_is_recorded_else_unknown(tmp_path: Path) -> None:
     store = opened(dataset(tmp_path / "unknown"))
-    assert [store.meta(i).ended for i in range(2)] == ["unknown", "unknown"]
+    assert [store.meta(i).success for i in range(2)] == [None, None]
     assert "next.success" not in Play(store).features()  # it was not known, so it is not claimed
     solved = [False] * (N - 1) + [True]
     feature = {"next.success": vector(None, 1, "bool")}
     store = opened(dataset(tmp_path / "known", feature, {"next.success": solved}))
-    assert [store.meta(i).ended for i in range(2)] == ["length", "stopped"]
+    assert [store.meta(i).success for i in range(2)] == [False, True]
     assert [bool(Play(store).entry(i).columns["next.success"].any()) for i in range(2)] == [False, True]
     assert store.remarks() == {}
 

@@ -1,6 +1,8 @@
 """Export to robomimic's HDF5: its content, what reads back, and that a failure leaves nothing."""
 
+import errno
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ from playlearn.data import DataConfig, PlayDataset
 from playlearn.data.split import val_mask
 from playlearn.errors import StoreError
 from playlearn.relabeling import UniformConfig
-from playlearn.store import NativeStore, StoreSpec, robomimic_export
+from playlearn.store import NativeStore, StoreSpec
 from playlearn.store.importing import import_recordings
 from playlearn.store.robomimic import RobomimicConfig, RobomimicFile
 from playlearn.store.robomimic_export import export_robomimic
@@ -26,9 +28,8 @@ MASKS = {"train": [1, 10], "valid": [2]}
 @pytest.fixture
 def store(tmp_path: Path) -> NativeStore:
     """Episodes 1, 2 and 10: the first succeeded at its task, the second did not, the third is play."""
-    rng = np.random.default_rng(0)
-    ends = {1: ("lift", "stopped"), 2: ("lift", "length"), 10: ("", "stopped")}
-    made = {n: make_episode(rng, 20 + n, CAMERAS, seed=n, task=task, ended=end) for n, (task, end) in ends.items()}
+    rng, succeeded = np.random.default_rng(0), {1: True, 2: False, 10: None}
+    made = {n: make_episode(rng, 20 + n, CAMERAS, seed=n, success=success) for n, success in succeeded.items()}
     store = NativeStore.create(tmp_path / "play", StoreSpec.of(made[1]))
     with store.writer() as writer:
         for number, episode in made.items():
@@ -41,7 +42,9 @@ def test_an_export_reads_back_without_the_last_step(store: NativeStore, tmp_path
     back = import_recordings(RobomimicFile(tmp_path / "a.hdf5"), tmp_path / "back")
     assert back.indices().tolist() == [1, 2, 10]  # the numbers they were recorded under, in numeric order
     assert back.spec.fps == 20
-    assert [back.meta(i).ended for i in range(3)] == ["success", "length", "length"]
+    assert [back.meta(i).success for i in range(3)] == [True, False, None]
+    assert (back.spec.state_names, back.spec.achieved_names) == (store.spec.state_names, store.spec.achieved_names)
+    assert back.spec.action_names == store.spec.action_names
     for i in range(3):
         mine, its = store.read(i), back.read(i)
         assert len(its) == len(mine) - 1  # the importer reads `obs`, in which the last observation is not
@@ -53,6 +56,7 @@ def test_an_export_reads_back_without_the_last_step(store: NativeStore, tmp_path
         np.testing.assert_array_equal(demo["next_obs/object"][-1], mine.achieved[-1])  # here it is
         np.testing.assert_array_equal(demo["next_obs/front_image"], mine.images["front"][1:])
         assert (demo.attrs["num_samples"], demo["dones"][()].tolist()) == (30, [0] * 29 + [1])
+        assert [file[f"data/demo_{n}/rewards"][-1] for n in (1, 2, 10)] == [1, 0, 0]
         description = json.loads(file["data"].attrs["env_args"])["playlearn"]
     assert description["environment"] == {"type": "synthetic", "objects": 3}
     assert description["names"]["action"] == ["dx", "dy", "dz", "gripper"]
@@ -83,11 +87,36 @@ def test_the_command_writes_the_validation_split_as_a_mask(store: NativeStore, t
     assert not (tmp_path / "b").exists()
 
 
-def test_a_failure_leaves_nothing_behind(store: NativeStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: Any) -> None:
-        raise OSError(28, "No space left on device")
+def test_a_full_disk_is_an_error_and_leaves_nothing(
+    store: NativeStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """HDF5 ends the process with a segmentation fault if a write fails under it, so it must never see one fail."""
+    whole = tmp_path / "whole.hdf5"
+    export_robomimic(store, whole, MASKS)
+    write, size, room = os.pwrite, whole.stat().st_size, [0]
 
-    monkeypatch.setattr(robomimic_export, "_write", full)
-    with pytest.raises(StoreError, match="cannot be written"):
+    def pwrite(descriptor: int, data: Any, at: int) -> int:
+        if at + len(data) > room[0]:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return write(descriptor, data[: len(data) // 2 + 1], at)  # less than was asked for, as the system may
+
+    monkeypatch.setattr(os, "pwrite", pwrite)
+    for room[0] in (0, 3000, size // 2, size - 1):
+        with pytest.raises(StoreError, match=r"out/a.hdf5 cannot be written \(No space left on device\)"):
+            export_robomimic(store, tmp_path / "out" / "a.hdf5", MASKS)
+        assert list((tmp_path / "out").iterdir()) == []
+    room[0] = size
+    export_robomimic(store, tmp_path / "out" / "a.hdf5", MASKS)
+    assert RobomimicFile(tmp_path / "out" / "a.hdf5").problems() == {}
+
+
+def test_a_disk_that_fails_at_the_end_is_an_error(
+    store: NativeStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(_: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(os, "fsync", failing)
+    with pytest.raises(StoreError, match="Input/output error"):
         export_robomimic(store, tmp_path / "out" / "a.hdf5", MASKS)
     assert list((tmp_path / "out").iterdir()) == []

@@ -26,6 +26,8 @@ class LeRobotStoreConfig(StoreConfig):
     cache: folder of the decoded frames (null: the user's cache folder).
     without_images: read the numbers only.
     skip_broken: leave out the episodes that cannot be read.
+    success: which episodes succeeded, a rule such as `all`, `none`, `dones`, `reward>=1` or `last_reward>=0` (null: as
+        `next.success` says, else unknown).
     """
 
     root: Path | None = None
@@ -38,6 +40,7 @@ class LeRobotStoreConfig(StoreConfig):
     cache: Path | None = None
     without_images: bool = False
     skip_broken: bool = False
+    success: str | None = None
 
     def __post_init__(self) -> None:
         """Raises UsageError where no dataset is named, or two are."""
@@ -67,4 +70,5 @@ class LeRobotStoreConfig(StoreConfig):
             cache=self.cache,
             without_images=self.without_images,
             skip_broken=self.skip_broken,
+            success=self.success,
         )

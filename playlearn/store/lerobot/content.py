@@ -5,6 +5,7 @@
     action                          (A,)        the label, `expert_action`
     intervention                    (1,) bool   an expert took over (LeRobot's own name for it)
     next.success                    (1,) bool   only where it is known of every episode
+    next.reward                     (1,)        only where every episode has recorded rewards
     task                            text        the episode's task; for play, the skill at that step; the recorder's
                                                 own words unchanged
 
@@ -26,9 +27,8 @@ from playlearn.episode import IMAGES, Array, Episode
 from playlearn.store.base import Store, StoreSpec
 
 PLAY = "play"  # task of a step that has neither a task nor a skill
-SUCCEEDED, FAILED, UNKNOWN_END = "stopped", "length", "unknown"  # how an episode ends that had a task
 STATE, ACHIEVED, ACTION = "observation.state", "observation.environment_state", "action"
-INTERVENTION, SUCCESS = "intervention", "next.success"
+INTERVENTION, SUCCESS, NEXT_REWARD = "intervention", "next.success", "next.reward"
 
 type Features = dict[str, dict[str, Any]]
 
@@ -75,16 +75,19 @@ class Play:
 
     store: the play.
     annotated: write skills as subtasks.
-    has_success: whether every episode has a task, and it is known whether it was achieved.
+    has_success: whether success is known of every episode.
+    has_reward: whether every episode has recorded rewards.
     """
 
     store: Store
     annotated: bool = False
     has_success: bool = field(init=False)
+    has_reward: bool = field(init=False)
 
     def __post_init__(self) -> None:
-        metas = [self.store.meta(i) for i in range(len(self.store))]
-        self.has_success = bool(metas) and all((m.task or m.verbatim) and m.ended != UNKNOWN_END for m in metas)
+        every = range(len(self.store))
+        self.has_success = bool(every) and all(self.store.meta(i).success is not None for i in every)
+        self.has_reward = bool(every) and all(self.store.rewards(i) is not None for i in every)
 
     def __len__(self) -> int:
         return len(self.store)
@@ -93,13 +96,16 @@ class Play:
         spec = self.store.spec
         made = vectors({STATE: spec.state_names, ACHIEVED: spec.achieved_names, ACTION: spec.action_names})
         made |= flags(INTERVENTION, *([SUCCESS] if self.has_success else []))
+        made |= {NEXT_REWARD: {"dtype": "float32", "shape": (1,), "names": None}} if self.has_reward else {}
         return made | image_features(self.store.cameras())
 
     def entry(self, i: int) -> Entry:
         episode = self.store.read(i)
         success = np.zeros((len(episode), 1), np.bool_)
-        success[-1] = episode.meta.ended == SUCCEEDED
+        success[-1] = episode.meta.success
         columns = steps(episode, 0, len(episode)) | ({SUCCESS: success} if self.has_success else {})
+        if self.has_reward and episode.reward is not None:
+            columns[NEXT_REWARD] = episode.reward[:, None].astype(np.float32)
         sidecar = int(self.store.indices()[i]), episode
         annotation = subtasks(episode, 0, len(episode)) if self.annotated else ()
         return Entry(columns, tasks(episode, annotated=self.annotated), annotation, sidecar)

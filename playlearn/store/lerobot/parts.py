@@ -1,13 +1,14 @@
 """Which feature of a LeRobot dataset is which part of an episode, and what is left out, with the reason."""
 
 from playlearn.errors import StoreError
-from playlearn.store.lerobot.content import ACHIEVED, INTERVENTION, SUCCESS
+from playlearn.store.lerobot.content import ACHIEVED, INTERVENTION, NEXT_REWARD, SUCCESS
 from playlearn.store.lerobot.features import PICTURES, is_numeric, vector_size
 from playlearn.store.lerobot.metadata import INFO, DatasetMetadata, column_types
 from playlearn.store.lerobot.names import read_names
 
 VECTORS = ("state", "achieved", "action")
-FLAGS = {"intervention": INTERVENTION, "success": SUCCESS}
+OUTCOMES = {"success": SUCCESS, "reward": NEXT_REWARD, "done": "next.done"}
+SINGLE = {"intervention": INTERVENTION, **OUTCOMES}  # read if they are one number a frame
 TASK = "task_index"
 BOOKKEEPING = ("timestamp", "frame_index", "episode_index", "index", TASK)
 TEXTS = ("string", "language")
@@ -37,7 +38,7 @@ def read_features(metadata: DatasetMetadata, state: str, achieved: str, action: 
             others = ", ".join(other for other in vectors if other != key)
             raise StoreError(f"{where}: {error}; or set `{part}` to another feature ({others})") from error
         found[part] = key
-    found |= {part: key for part, key in FLAGS.items() if key in features and _is_flag(metadata, key)}
+    found |= {part: key for part, key in SINGLE.items() if key in features and _is_single(metadata, key)}
     return found | ({"task": TASK} if TASK in features and metadata.tasks else {})
 
 
@@ -73,6 +74,6 @@ def left_out(metadata: DatasetMetadata, read: set[str]) -> dict[str, str]:
     }
 
 
-def _is_flag(metadata: DatasetMetadata, key: str) -> bool:
+def _is_single(metadata: DatasetMetadata, key: str) -> bool:
     feature = metadata.features[key]
     return is_numeric(feature["dtype"]) and tuple(feature["shape"]) in ((), (1,))

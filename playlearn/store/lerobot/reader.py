@@ -20,21 +20,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from playlearn.episode import IMAGES, STORED, Array, Episode, EpisodeMeta
+from playlearn.episode import IMAGES, REWARD, STORED, Array, Episode, EpisodeMeta
 from playlearn.errors import EpisodeError, StoreError
 from playlearn.store.base import StoreSpec, summary
 from playlearn.store.lerobot import check, sidecar
-from playlearn.store.lerobot.content import FAILED, SUCCEEDED, SUCCESS, UNKNOWN_END
+from playlearn.store.lerobot.content import NEXT_REWARD, SUCCESS
 from playlearn.store.lerobot.features import Size
 from playlearn.store.lerobot.frames import decode_episode, resized
 from playlearn.store.lerobot.metadata import DatasetMetadata, Row, load_metadata
-from playlearn.store.lerobot.parts import VECTORS, dimension_names, left_out, read_features
+from playlearn.store.lerobot.parts import OUTCOMES, VECTORS, dimension_names, left_out, read_features
 from playlearn.store.lerobot.subtasks import EVENTS, PERSISTENT
 from playlearn.store.mmap_cache import MmapCache
+from playlearn.store.success import Signals, SuccessRule, how_ended
 from playlearn.store.tensors import map_tensors, read_header, write_tensors
 
 UNKNOWN = -1  # of the seed
-KEPT_IN_SIDECARS = (SUCCESS, PERSISTENT, EVENTS)  # what an export writes for others, and reads from its sidecars
+# What an export writes for others, and reads from its sidecars.
+KEPT_IN_SIDECARS = (SUCCESS, NEXT_REWARD, PERSISTENT, EVENTS)
 
 
 class LeRobotStore:
@@ -51,6 +53,7 @@ class LeRobotStore:
         cache: Path | None = None,
         without_images: bool = False,
         skip_broken: bool = False,
+        success: str | None = None,
     ) -> None:
         """root: folder of the dataset; the others are the fields of `LeRobotStoreConfig`.
 
@@ -76,6 +79,8 @@ class LeRobotStore:
         self._cache = (cache or _cache_folder()) / place
         self._maps, self._sidecar_maps = MmapCache(), MmapCache()
         self._names = {part: dimension_names(metadata, keys[part]) for part in VECTORS if part in keys}
+        rule = None if success is None else SuccessRule(success)
+        self._success = {row.index: self._succeeded(row, rule) for row in self._rows}
         self.spec = self._spec()
 
     def __len__(self) -> int:
@@ -103,6 +108,7 @@ class LeRobotStore:
             return self._sidecars[row.index].meta
         cameras = {name: {"height": h, "width": w} for name, (h, w) in self._sizes.items()}
         tasks, _ = self._tasks_of(row)
+        success = self._success[row.index]
         return EpisodeMeta(
             environment=self.spec.environment,
             state_names=self.spec.state_names,
@@ -113,14 +119,17 @@ class LeRobotStore:
             actor="unknown",
             cameras=cameras,
             skills=tuple(tasks) if len(tasks) > 1 else (),
-            ended=self._ended(row),
+            ended=how_ended(success),
             task=tasks[0] if len(tasks) == 1 else "",
             verbatim=True,
+            success=success,
         )
 
     def read(self, i: int) -> Episode:
         keys = [*STORED.values(), *(IMAGES + camera for camera in self._sizes)]
-        return Episode.from_arrays(self.meta(i), {key: self.array(i, key) for key in keys})
+        rewards = self.rewards(i)
+        arrays = {key: self.array(i, key) for key in keys} | ({} if rewards is None else {REWARD: rewards})
+        return Episode.from_arrays(self.meta(i), arrays)
 
     def array(self, i: int, key: str) -> Array:
         row = self._row(i)
@@ -139,6 +148,14 @@ class LeRobotStore:
             **dict.fromkeys(unread, "left out: `without_images`"),
             **renamed,
         }
+
+    def rewards(self, i: int) -> Array | None:
+        row = self._row(i)
+        if self._has_sidecars:
+            return self._sidecar_maps.get(i, self._sidecars[row.index].arrays).get(REWARD)
+        if "reward" not in self._keys:
+            return None
+        return self._columns[row.index][self._keys["reward"]][: self._steps(row), 0].astype(np.float64)
 
     def verify(self) -> list[str]:
         problems = []
@@ -210,6 +227,14 @@ class LeRobotStore:
             raise StoreError(f"{self.path} has no {key}: it has {', '.join(known)}")
         return stored[key]
 
+    def _succeeded(self, row: Row, rule: SuccessRule | None) -> bool | None:
+        """Whether an episode without a sidecar succeeded; None where that is not known."""
+        own = {part: self._columns[row.index][key] for part, key in self._keys.items() if part in OUTCOMES}
+        if rule is not None:
+            where = f"{self.path}: episode {row.index}"
+            return rule(Signals(*(own[part][:, 0] if part in own else None for part in ("reward", "done"))), where)
+        return bool(own["success"].any()) if "success" in own else None
+
     def _tasks_of(self, row: Row) -> tuple[list[str], Array]:
         """The tasks of an episode, and (T,) int16 the task of each step; several tasks are read as skills."""
         steps = self._steps(row)
@@ -217,12 +242,6 @@ class LeRobotStore:
             return [], np.zeros(steps, np.int16)
         numbers, own = np.unique(self._columns[row.index][self._keys["task"]][:steps, 0], return_inverse=True)
         return [self._metadata.tasks[int(n)] for n in numbers], own.astype(np.int16)
-
-    def _ended(self, row: Row) -> str:
-        """How an episode ended, as far as is recorded."""
-        if "success" not in self._keys:
-            return UNKNOWN_END
-        return SUCCEEDED if self._columns[row.index][SUCCESS].any() else FAILED
 
     def _frames(self, row: Row) -> dict[str, Array]:
         """The frames of every camera in one episode, memory-mapped; decoded first if they are not cached."""
