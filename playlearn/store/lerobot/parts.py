@@ -4,7 +4,6 @@ from playlearn.errors import StoreError
 from playlearn.store.lerobot.content import ACHIEVED, INTERVENTION, NEXT_REWARD, SUCCESS
 from playlearn.store.lerobot.features import PICTURES, is_numeric, vector_size
 from playlearn.store.lerobot.metadata import INFO, DatasetMetadata, column_types
-from playlearn.store.lerobot.names import read_names
 
 VECTORS = ("state", "achieved", "action")
 OUTCOMES = {"success": SUCCESS, "reward": NEXT_REWARD, "done": "next.done"}
@@ -40,12 +39,6 @@ def read_features(metadata: DatasetMetadata, state: str, achieved: str, action: 
         found[part] = key
     found |= {part: key for part, key in SINGLE.items() if key in features and _is_single(metadata, key)}
     return found | ({"task": TASK} if TASK in features and metadata.tasks else {})
-
-
-def dimension_names(metadata: DatasetMetadata, key: str) -> tuple[tuple[str, ...], str]:
-    """The name of each dimension of a vector, and why they are not the recorded ones, or ""."""
-    feature = metadata.features[key]
-    return read_names(key, feature.get("names"), vector_size(key, feature))
 
 
 def left_out(metadata: DatasetMetadata, read: set[str]) -> dict[str, str]:

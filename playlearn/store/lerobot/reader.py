@@ -28,7 +28,7 @@ from playlearn.store.lerobot.content import NEXT_REWARD, SUCCESS
 from playlearn.store.lerobot.features import Size
 from playlearn.store.lerobot.frames import decode_episode, resized
 from playlearn.store.lerobot.metadata import DatasetMetadata, Row, load_metadata
-from playlearn.store.lerobot.parts import OUTCOMES, VECTORS, dimension_names, left_out, read_features
+from playlearn.store.lerobot.parts import OUTCOMES, VECTORS, left_out, read_features
 from playlearn.store.lerobot.subtasks import EVENTS, PERSISTENT
 from playlearn.store.mmap_cache import MmapCache
 from playlearn.store.success import Signals, SuccessRule, how_ended
@@ -78,7 +78,6 @@ class LeRobotStore:
         place = f"{self.path.name}-{hashlib.sha256(str(self.path.resolve()).encode()).hexdigest()[:12]}"
         self._cache = (cache or _cache_folder()) / place
         self._maps, self._sidecar_maps = MmapCache(), MmapCache()
-        self._names = {part: dimension_names(metadata, keys[part]) for part in VECTORS if part in keys}
         rule = None if success is None else SuccessRule(success)
         self._success = {row.index: self._succeeded(row, rule) for row in self._rows}
         self.spec = self._spec()
@@ -141,12 +140,12 @@ class LeRobotStore:
     def remarks(self) -> dict[str, str]:
         unread = [camera.key for name, camera in self._metadata.cameras.items() if name not in self._sizes]
         kept = KEPT_IN_SIDECARS if self._has_sidecars else ()
-        renamed = {} if self._has_sidecars else {self._keys[part]: why for part, (_, why) in self._names.items() if why}
+        vectors = [] if self._has_sidecars else [self._keys[part] for part in VECTORS if part in self._keys]
         return {
             **left_out(self._metadata, {*self._keys.values(), *kept}),
             **self._metadata.remarks,
             **dict.fromkeys(unread, "left out: `without_images`"),
-            **renamed,
+            **{key: why for key in vectors if (why := self._metadata.renamed(key))},
         }
 
     def rewards(self, i: int) -> Array | None:
@@ -190,7 +189,7 @@ class LeRobotStore:
             return dataclasses.replace(StoreSpec.of_shapes(first, {}), cameras=self._sizes)
         metadata = self._metadata
         environment = {"type": "lerobot", "robot": metadata.robot}
-        state, achieved, action = (self._names.get(part, ((), ""))[0] for part in VECTORS)
+        state, achieved, action = (metadata.names(self._keys.get(part, "")) for part in VECTORS)
         return StoreSpec(environment, state, achieved, action, metadata.fps, self._sizes)
 
     def _exact_array(self, i: int, row: Row, key: str) -> Array:
