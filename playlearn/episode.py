@@ -87,8 +87,8 @@ class EpisodeMeta:
     ended: why the episode stopped.
     task: what was asked for; "" in free play.
     split: "train" or "val" where the recording fixes it; "" leaves it to the episode's number.
-    success: whether its task was achieved; None where that is not known.
     verbatim: `skills` are the recorder's own words, in which nothing is an annotation.
+    success: whether its task was achieved; None where that is not known.
     """
 
     environment: Mapping[str, Any]
@@ -106,8 +106,8 @@ class EpisodeMeta:
     ended: str = "length"
     task: str = ""
     split: str = ""
-    success: bool | None = None
     verbatim: bool = False
+    success: bool | None = None
 
     def annotations(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
         """The skill and the marks behind each value of `skill`; one without a name where there are none."""

@@ -145,7 +145,8 @@ def _strip(store: Store, image_of: ImageSource, cameras: Sequence[str], attempt:
     ]
     seconds = (attempt.end - attempt.begin) / store.spec.fps
     facts = [mark_name(mark) for mark in sorted(attempt.marks) if mark != GAVE_UP]
-    outcome = "truncated" if attempt.truncated else "gave up" if attempt.failed else "succeeded"
+    known = "gave up" if attempt.failed else "succeeded"
+    outcome = "truncated" if attempt.truncated else "ended" if attempt.unknown else known
     start = attempt.begin / store.spec.fps
     caption = f"{attempt.skill or 'play'}, episode {store.indices()[attempt.episode]} at {start:.1f} s: " + ", ".join(
         [*facts, f"{outcome} after {seconds:.1f} s"]

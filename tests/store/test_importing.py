@@ -255,7 +255,7 @@ def test_arrays_of_an_npz_that_are_left_out_are_named(tmp_path: Path) -> None:
     lines: list[str] = []
     made = OgbenchFile(ogbench(tmp_path / "more.npz", rewards=np.zeros(13)))
     store = import_recordings(made, tmp_path / "store", say=lines.append)
-    assert lines == ["rewards: left out: no part of an episode is made from it"]
+    assert lines == ["rewards: left out: playlearn has no place for it"]
     assert NativeStore.open(store.path).info()["remarks"] == made.remarks
 
 

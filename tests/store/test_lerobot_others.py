@@ -87,6 +87,13 @@ def test_their_words_are_no_annotations(tmp_path: Path) -> None:
     assert not leads_to_failure(store.array(0, "skill"), store.meta(0).annotations()).any()
 
 
+def test_no_report_says_that_their_tasks_succeeded(tmp_path: Path) -> None:
+    from playlearn.report.play import figures
+
+    counts = {"count": 5, "succeeded": 0, "failed": 0, "truncated": 2, "unknown": 3}  # one to the end of each episode
+    assert figures(opened(worded(tmp_path / "made")))["attempts"] == counts
+
+
 @pytest.mark.parametrize("verbatim", [False, True])
 def test_an_export_keeps_annotations_and_their_words_apart(tmp_path: Path, verbatim: bool) -> None:
     """For people our skill reads as words; in its sidecar it is what it was."""

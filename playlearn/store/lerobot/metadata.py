@@ -13,7 +13,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from playlearn.errors import StoreError
-from playlearn.store.lerobot.features import Camera, check_features, read_cameras
+from playlearn.store.lerobot.features import Camera, check_features, read_cameras, vector_size
+from playlearn.store.lerobot.names import read_names
 
 INFO = "meta/info.json"
 TASKS = "meta/tasks.parquet"
@@ -77,6 +78,20 @@ class DatasetMetadata:
     frames: int
     rows: tuple[Row, ...]
     tasks: Mapping[int, str]
+
+    def names(self, key: str) -> tuple[str, ...]:
+        """Name of each dimension of a vector, all different; () if there is no such feature."""
+        return self._named(key)[0]
+
+    def renamed(self, key: str) -> str:
+        """Why the names of a vector are not the recorded ones; "" if they are."""
+        return self._named(key)[1]
+
+    def _named(self, key: str) -> tuple[tuple[str, ...], str]:
+        if key not in self.features:
+            return (), ""
+        feature = self.features[key]
+        return read_names(key, feature.get("names"), vector_size(key, feature))
 
 
 def is_lerobot(root: Path) -> bool:

@@ -4,10 +4,10 @@ from playlearn.errors import StoreError
 from playlearn.store.lerobot.content import ACHIEVED, INTERVENTION, NEXT_REWARD, SUCCESS
 from playlearn.store.lerobot.features import PICTURES, is_numeric, vector_size
 from playlearn.store.lerobot.metadata import INFO, DatasetMetadata, column_types
-from playlearn.store.lerobot.names import read_names
 
 VECTORS = ("state", "achieved", "action")
-FLAGS = {"intervention": INTERVENTION, "success": SUCCESS, "reward": NEXT_REWARD, "done": "next.done"}
+OUTCOMES = {"success": SUCCESS, "reward": NEXT_REWARD, "done": "next.done"}
+SINGLE = {"intervention": INTERVENTION, **OUTCOMES}  # read if they are one number a frame
 TASK = "task_index"
 BOOKKEEPING = ("timestamp", "frame_index", "episode_index", "index", TASK)
 TEXTS = ("string", "language")
@@ -37,14 +37,8 @@ def read_features(metadata: DatasetMetadata, state: str, achieved: str, action: 
             others = ", ".join(other for other in vectors if other != key)
             raise StoreError(f"{where}: {error}; or set `{part}` to another feature ({others})") from error
         found[part] = key
-    found |= {part: key for part, key in FLAGS.items() if key in features and _is_flag(metadata, key)}
+    found |= {part: key for part, key in SINGLE.items() if key in features and _is_single(metadata, key)}
     return found | ({"task": TASK} if TASK in features and metadata.tasks else {})
-
-
-def dimension_names(metadata: DatasetMetadata, key: str) -> tuple[tuple[str, ...], str]:
-    """The name of each dimension of a vector, and why they are not the recorded ones, or ""."""
-    feature = metadata.features[key]
-    return read_names(key, feature.get("names"), vector_size(key, feature))
 
 
 def left_out(metadata: DatasetMetadata, read: set[str]) -> dict[str, str]:
@@ -73,6 +67,6 @@ def left_out(metadata: DatasetMetadata, read: set[str]) -> dict[str, str]:
     }
 
 
-def _is_flag(metadata: DatasetMetadata, key: str) -> bool:
+def _is_single(metadata: DatasetMetadata, key: str) -> bool:
     feature = metadata.features[key]
     return is_numeric(feature["dtype"]) and tuple(feature["shape"]) in ((), (1,))

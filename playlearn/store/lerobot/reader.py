@@ -28,7 +28,7 @@ from playlearn.store.lerobot.content import NEXT_REWARD, SUCCESS
 from playlearn.store.lerobot.features import Size
 from playlearn.store.lerobot.frames import decode_episode, resized
 from playlearn.store.lerobot.metadata import DatasetMetadata, Row, load_metadata
-from playlearn.store.lerobot.parts import FLAGS, VECTORS, dimension_names, left_out, read_features
+from playlearn.store.lerobot.parts import OUTCOMES, VECTORS, left_out, read_features
 from playlearn.store.lerobot.subtasks import EVENTS, PERSISTENT
 from playlearn.store.mmap_cache import MmapCache
 from playlearn.store.object_dimensions import ObjectDimensions, choose_dimensions, own_dimensions
@@ -36,12 +36,8 @@ from playlearn.store.success import Signals, SuccessRule, how_ended
 from playlearn.store.tensors import map_tensors, read_header, write_tensors
 
 UNKNOWN = -1  # of the seed
-KEPT_IN_SIDECARS = (
-    SUCCESS,
-    NEXT_REWARD,
-    PERSISTENT,
-    EVENTS,
-)  # what an export writes for others, and reads from its sidecars
+# What an export writes for others, and reads from its sidecars.
+KEPT_IN_SIDECARS = (SUCCESS, NEXT_REWARD, PERSISTENT, EVENTS)
 
 
 class LeRobotStore:
@@ -85,7 +81,6 @@ class LeRobotStore:
         self._cache = (cache or _cache_folder()) / place
         self._maps, self._sidecar_maps = MmapCache(), MmapCache()
         self._rule = None if success is None else SuccessRule(success)
-        self._names = {part: dimension_names(metadata, keys[part]) for part in VECTORS if part in keys}
         self._objects = self._dimensions(goal_names)
         self.spec = self._spec()
 
@@ -128,8 +123,8 @@ class LeRobotStore:
             skills=tuple(tasks) if len(tasks) > 1 else (),
             ended=how_ended(success),
             task=tasks[0] if len(tasks) == 1 else "",
-            success=success,
             verbatim=True,
+            success=success,
         )
 
     def read(self, i: int) -> Episode:
@@ -148,12 +143,12 @@ class LeRobotStore:
     def remarks(self) -> dict[str, str]:
         unread = [camera.key for name, camera in self._metadata.cameras.items() if name not in self._sizes]
         kept = KEPT_IN_SIDECARS if self._has_sidecars else ()
-        renamed = {} if self._has_sidecars else {self._keys[part]: why for part, (_, why) in self._names.items() if why}
+        vectors = [] if self._has_sidecars else [self._keys[part] for part in VECTORS if part in self._keys]
         return {
             **left_out(self._metadata, {*self._keys.values(), *kept}),
             **self._metadata.remarks,
             **dict.fromkeys(unread, "left out: `without_images`"),
-            **renamed,
+            **{key: why for key in vectors if (why := self._metadata.renamed(key))},
             **self._objects.remarks,
         }
 
@@ -198,7 +193,7 @@ class LeRobotStore:
             return dataclasses.replace(StoreSpec.of_shapes(first, {}), cameras=self._sizes)
         metadata = self._metadata
         environment = {"type": "lerobot", "robot": metadata.robot}
-        state, action = (self._names[part][0] for part in ("state", "action"))
+        state, action = (metadata.names(self._keys[part]) for part in ("state", "action"))
         return StoreSpec(environment, state, self._objects.goals(), action, metadata.fps, self._sizes)
 
     def _exact_array(self, i: int, row: Row, key: str) -> Array:
@@ -242,7 +237,7 @@ class LeRobotStore:
 
     def _dimensions(self, goal_names: tuple[str, ...] | None) -> ObjectDimensions:
         """What goals are about. Play that was recorded here knows; elsewhere what depends on the hand is left out."""
-        names = self._names["achieved"][0] if "achieved" in self._names else ()
+        names = self._metadata.names(self._keys.get("achieved", ""))
         if self._has_sidecars:
             if goal_names is not None:
                 raise UsageError(
@@ -261,7 +256,7 @@ class LeRobotStore:
 
     def _succeeded(self, row: Row) -> bool | None:
         """Whether an episode succeeded, as the user or the dataset says; None where that is not known."""
-        own = {part: self._columns[row.index][key][:, 0] for part, key in self._keys.items() if part in FLAGS}
+        own = {part: self._columns[row.index][key][:, 0] for part, key in self._keys.items() if part in OUTCOMES}
         if self._rule is not None:
             return self._rule(Signals(own.get("reward"), own.get("done")), f"{self.path}: episode {row.index}")
         return bool(own["success"].any()) if "success" in own else None
