@@ -11,7 +11,7 @@ from playlearn.errors import UsageError
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("format", choices=tuple(FORMATS))
+    parser.add_argument("format", choices=tuple(FORMATS), help=FIELDS)
     parser.add_argument("source", type=Path, metavar="SRC", help="a dataset's folder, .hdf5 or .npz")
     parser.add_argument("out", type=Path, metavar="OUT")
     parser.add_argument("--skip-broken", action="store_true", help="leave broken recordings out, and name them")
@@ -70,5 +70,11 @@ def _lerobot(source: Path, overrides: list[str]) -> Any:
 
 
 FORMATS = {"lerobot": _lerobot, "robomimic": _robomimic, "robosuite": _robosuite, "ogbench": _ogbench}
+
+FIELDS = (
+    "fields of robomimic: --state, --achieved, --goal_names (what goals are about), --success (which succeeded: "
+    "'last_reward>=0', all ...), --cameras, --mask, --val_mask, --fps; of robosuite: --goal_names, --success, --mask, "
+    "--fps; of lerobot: those of `store: {type: lerobot}`"
+)
 
 VERB = Verb("import", "convert recordings of other formats into a store", run, add, overrides=True, kept=REPEAT)

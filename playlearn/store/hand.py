@@ -16,10 +16,11 @@ SET_OUT = 0.3  # of its range in the recordings: how far some part of the robot 
 CHANGED = 0.05  # of its range: how far a dimension changes there
 STILL = 0.01  # of its range: within what it rests
 REST = 5  # observations
-MOTION = 0.98  # of the variance of the robot's motion, in its main directions
-EXPLAINED = 0.95  # of a dimension's variance, by the robot's motion
-EXACT = 0.999  # where the robot never rests: what is smooth looks alike
-OFTEN = 0.3  # of the episodes
+# Shares: of the variance of the robot's motion, in its main directions; of a dimension's variance, explained by it; of
+# the episodes in which that is so. The last line is for a robot that never rests, as all that is smooth looks alike.
+SHARES = (0.98, 0.95, 0.3)
+SHARES_OF_SMOOTH = (0.9999, 0.999, 0.6)
+PER_DIRECTION = 4  # observations, at least, for each direction of motion that may explain them
 AT_MOST = 50  # episodes that are looked at
 
 
@@ -35,12 +36,13 @@ def moves_with_hand(objects: Sequence[Array], robot: Sequence[Array]) -> NDArray
     objects, robot = ([np.asarray(rows[i], np.float64) for i in chosen] for rows in (objects, robot))
     scale, reach = _range(objects), _range(robot)
     together, rests = _rest_together(objects, robot, scale, reach)
+    moved, explained, often = SHARES if rests else SHARES_OF_SMOOTH
     votes, openings = np.zeros(scale.shape), 0
     for own, rows in zip(objects, robot, strict=True):
         if n := _opening(rows / reach):
-            votes += _explained(own[:n] / scale, rows[:n] / reach, EXPLAINED if rests else EXACT)
+            votes += _explained(own[:n] / scale, rows[:n] / reach, moved, explained)
             openings += 1
-    return np.asarray(together & (votes >= max(OFTEN * openings, 1)))
+    return np.asarray(together & (votes >= max(often * openings, 1)))
 
 
 def _range(rows: Sequence[Array]) -> Array:
@@ -57,11 +59,16 @@ def _opening(robot: Array) -> int:
     return length if length <= max(SHORTEST, len(robot) // 2) and length <= len(robot) else 0
 
 
-def _explained(own: Array, robot: Array, share: float) -> NDArray[np.bool_]:
-    """(G,) what changes in an opening (n, G), and is to this share a linear function of the robot's motion (n, S)."""
+def _explained(own: Array, robot: Array, moved: float, share: float) -> NDArray[np.bool_]:
+    """(G,) what changes in an opening (n, G), and is a linear function of the robot's motion (n, S).
+
+    moved: share of the motion's variance that is looked at.
+    share: of a dimension's variance that it must explain.
+    """
     directions, size, _ = np.linalg.svd(robot - robot.mean(axis=0), full_matrices=False)
     power = np.cumsum(np.square(size))
-    motion = directions[:, : int(np.searchsorted(power, MOTION * power[-1])) + 1]
+    count = min(int(np.searchsorted(power, moved * power[-1])) + 1, len(own) // PER_DIRECTION)
+    motion = directions[:, :count]
     values = own - own.mean(axis=0)
     left = np.square(values - motion @ (motion.T @ values)).sum(axis=0)
     return np.asarray((np.ptp(own, axis=0) > CHANGED) & (left <= (1 - share) * np.square(values).sum(axis=0)))

@@ -88,6 +88,8 @@ class OgbenchFile:
             raise StoreError(f"{path}: its last row does not end an episode: it is incomplete; fetch it again")
         self._bounds = np.concatenate([[0], ends])
         self.splits: Mapping[str, Sequence[int]] = {}
+        others = [name for name in present if name not in self._arrays]
+        self.remarks: Mapping[str, str] = dict.fromkeys(others, "left out: playlearn has no place for it")
         self.spec = StoreSpec(self._kind.environment, STATE_NAMES, self._kind.achieved_names, ACTION_NAMES, FPS)
         self.note = {"format": "ogbench", "source": path.name, "bytes": path.stat().st_size}
 

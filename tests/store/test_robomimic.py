@@ -1,6 +1,8 @@
 """robomimic's files as others write them: what is known is kept, what is not known is said, nothing ends in a trace."""
 
+import dataclasses
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,6 +11,7 @@ import numpy as np
 import pytest
 
 from playlearn.cli import main
+from playlearn.cli.import_recordings import FIELDS
 from playlearn.episode import Array
 from playlearn.errors import StoreError, UsageError
 from playlearn.relabeling import RelabelIndex, SettlingConfig
@@ -16,6 +19,7 @@ from playlearn.store import NativeStore
 from playlearn.store.importing import import_recordings
 from playlearn.store.robomimic import RobomimicConfig, RobomimicFile
 from playlearn.store.robomimic_export import export_robomimic
+from playlearn.store.robosuite_demos import RobosuiteConfig
 from tests.store.test_hand import STEPS, cube, hand
 
 h5py = pytest.importorskip("h5py", reason="the extra `robomimic` is not installed")
@@ -180,6 +184,13 @@ def test_the_import_says_how_many_succeeded(tmp_path: Path, capsys: pytest.Captu
     assert "--success" in said
     assert main(["import", "robomimic", source, str(tmp_path / "out"), "--success", "all"]) == 2
     assert "begun with another success" in capsys.readouterr().err
+
+
+def test_the_help_names_every_field() -> None:
+    """Written down there, since reading them from the configs would make every command import HDF5 and MuJoCo."""
+    robomimic, rest = FIELDS.split("of robosuite:")
+    for config, said in ((RobomimicConfig, robomimic), (RobosuiteConfig, rest)):
+        assert {entry.name for entry in dataclasses.fields(config)} == set(re.findall(r"--(\w+)", said))
 
 
 # what is left out ------------------------------------------------------------------------------------
