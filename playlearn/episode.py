@@ -19,6 +19,7 @@ from playlearn.errors import EpisodeError
 
 Array = NDArray[Any]
 IMAGES = "observation.images."
+REWARD = "reward"
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +79,7 @@ class EpisodeMeta:
     fps: steps a second.
     seed: of the episode.
     actor: who acted.
-    skills: the annotations that `skill` indexes.
+    skills: what `skill` indexes: annotations (see `annotation`), unless they are `verbatim`.
     controller: the controller's settings.
     cameras: name -> {"height", "width"} of the recorded images.
     renderer: GL back end and device.
@@ -86,6 +87,8 @@ class EpisodeMeta:
     ended: why the episode stopped.
     task: what was asked for; "" in free play.
     split: "train" or "val" where the recording fixes it; "" leaves it to the episode's number.
+    verbatim: `skills` are the recorder's own words, in which nothing is an annotation.
+    success: whether its task was achieved; None where that is not known.
     """
 
     environment: Mapping[str, Any]
@@ -103,6 +106,14 @@ class EpisodeMeta:
     ended: str = "length"
     task: str = ""
     split: str = ""
+    verbatim: bool = False
+    success: bool | None = None
+
+    def annotations(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
+        """The skill and the marks behind each value of `skill`; one without a name where there are none."""
+        if self.verbatim:
+            return tuple((text, ()) for text in self.skills) or (("", ()),)
+        return tuple(map(read_annotation, self.skills)) or (("", ()),)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,9 +130,11 @@ class Episode:
     intervention: (T,) bool.
     skill: (T,) int16, an index into `meta.skills`.
     images: camera -> (T+1, h, w, 3) uint8, upright.
+    reward: (T,) float64 as it was recorded, whatever it means; None where there is none.
 
     Raises:
-        EpisodeError: lengths disagree, a value is not finite, time does not go forward, T is 0.
+        EpisodeError: lengths disagree, a value is not finite, time does not go forward, T is 0, two dimensions of a
+            vector have one name.
     """
 
     meta: EpisodeMeta
@@ -134,6 +147,7 @@ class Episode:
     intervention: Array
     skill: Array
     images: Mapping[str, Array] = field(default_factory=dict)
+    reward: Array | None = None
 
     def __post_init__(self) -> None:
         steps = len(self.action)
@@ -142,6 +156,13 @@ class Episode:
         for name, (dtype, width, extra) in _fields(self).items():
             value = getattr(self, name)
             _check(name, value, dtype, steps + extra, width)
+        if self.reward is not None:
+            _check(REWARD, self.reward, np.float64, steps, None)
+        for kind in ("state_names", "achieved_names", "action_names"):
+            names = getattr(self.meta, kind)
+            if len(set(names)) < len(names):
+                twice = next(name for name in names if names.count(name) > 1)
+                raise EpisodeError(f"{kind} has {twice!r} twice: what its dimensions are called must differ")
         for camera, frames in self.images.items():
             _check(IMAGES + camera, frames, np.uint8, steps + 1, None)
             if frames.ndim != 4 or frames.shape[3] != 3:
@@ -162,6 +183,7 @@ class Episode:
     def arrays(self) -> dict[str, Array]:
         """Every array under its stored name (`observation.state`, `action`, ...)."""
         plain = {stored: getattr(self, name) for name, stored in STORED.items()}
+        plain |= {} if self.reward is None else {REWARD: self.reward}
         return plain | {IMAGES + camera: frames for camera, frames in self.images.items()}
 
     @classmethod
@@ -171,7 +193,8 @@ class Episode:
         if missing:
             raise EpisodeError(f"an episode without {', '.join(missing)}")
         images = {key.removeprefix(IMAGES): value for key, value in arrays.items() if key.startswith(IMAGES)}
-        return cls(meta=meta, images=images, **{name: arrays[stored] for name, stored in STORED.items()})
+        stored = {name: arrays[key] for name, key in STORED.items()}
+        return cls(meta=meta, images=images, reward=arrays.get(REWARD), **stored)
 
 
 def annotation(skill: str, marks: Sequence[str] = ()) -> str:

@@ -25,6 +25,8 @@ def make_episode(
     seed: int = 0,
     task: str = "",
     ended: str = "length",
+    success: bool | None = None,
+    reward: Array | None = None,
 ) -> Episode:
     """Segments of 2 to 4 s: pause, move one object smoothly, rest for a second.
 
@@ -48,6 +50,7 @@ def make_episode(
         versions={"playlearn": "0"},
         task=task,
         ended=ended,
+        success=success,
     )
     return Episode(
         meta=meta,
@@ -60,6 +63,7 @@ def make_episode(
         intervention=np.zeros(steps, np.bool_),
         skill=skill,
         images={camera: _pictures(achieved, size, seed, number) for number, (camera, size) in enumerate(sizes.items())},
+        reward=reward,
     )
 
 

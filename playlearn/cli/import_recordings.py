@@ -11,7 +11,7 @@ from playlearn.errors import UsageError
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("format", choices=tuple(FORMATS))
+    parser.add_argument("format", choices=tuple(FORMATS), help=FIELDS)
     parser.add_argument("source", type=Path, metavar="SRC", help="a dataset's folder, .hdf5 or .npz")
     parser.add_argument("out", type=Path, metavar="OUT")
     parser.add_argument("--skip-broken", action="store_true", help="leave broken recordings out, and name them")
@@ -26,8 +26,13 @@ def run(arguments: argparse.Namespace) -> int:
         skip = arguments.skip_broken
         store = import_recordings(recordings, arguments.out, skip_broken=skip, progress=progress.to, say=progress.say)
     print(f"{arguments.out}: {len(store)} episodes, {int(store.lengths().sum())} steps")
+    here = set(store.indices().tolist())
     for name, numbers in recordings.splits.items():
-        print(f"mask {name}: {len(numbers)} episodes")
+        print(f"mask {name}: {len(here & set(numbers))} of its {len(numbers)} episodes")
+    success = store.info()["success"]
+    print("success: " + ", ".join(f"{what} {count}" for what, count in success.items()))
+    if success["unknown"] and "success" in recordings.note:
+        print("a reward is not a success: say which episodes succeeded by --success, such as 'last_reward>=0' or all")
     return DONE
 
 
@@ -54,14 +59,22 @@ def _ogbench(source: Path, overrides: list[str]) -> Any:
 
 
 def _lerobot(source: Path, overrides: list[str]) -> Any:
-    from playlearn.config import load_config
+    from playlearn.config import load_config, to_dict
     from playlearn.store.lerobot.config import LeRobotStoreConfig
     from playlearn.store.lerobot.recordings import LeRobotRecordings
 
     config = load_config(LeRobotStoreConfig, None, [f"--root={json.dumps(str(source))}", *overrides])
-    return LeRobotRecordings(replace(config, skip_broken=True).build())
+    elsewhere = ("root", "cache", "skip_broken")  # of no bearing on what is read
+    settings = {name: value for name, value in to_dict(config).items() if name not in elsewhere}
+    return LeRobotRecordings(replace(config, skip_broken=True).build(), settings)
 
 
 FORMATS = {"lerobot": _lerobot, "robomimic": _robomimic, "robosuite": _robosuite, "ogbench": _ogbench}
+
+FIELDS = (
+    "fields of robomimic: --state, --achieved, --goal_names (what goals are about), --success (which succeeded: "
+    "'last_reward>=0', all ...), --cameras, --mask, --val_mask, --fps; of robosuite: --goal_names, --success, --mask, "
+    "--fps; of lerobot: those of `store: {type: lerobot}`"
+)
 
 VERB = Verb("import", "convert recordings of other formats into a store", run, add, overrides=True, kept=REPEAT)

@@ -23,17 +23,22 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    from playlearn.relabeling import RobotConfig
     from playlearn.store import open_store
 
     store = open_store(arguments.store)
     facts = store.info()
+    if not store.spec.achieved_names:
+        facts["goals"] = RobotConfig().describe(store.spec.state_names)
     problems = store.verify() if arguments.verify else []
     if arguments.verify:
         facts = {**facts, "problems": problems}
     if arguments.json:
         print(json.dumps(facts, indent=2))
     else:
-        _print_facts({key: value for key, value in facts.items() if key != "problems"})
+        _print_facts({key: value for key, value in facts.items() if key not in ("problems", "remarks")})
+        for name, remark in facts["remarks"].items():
+            print(f"{name}: {remark}")
         if arguments.verify and not problems:
             print(f"whole: every checksum of {len(store)} episodes holds")
     for problem in problems:
@@ -51,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _print_facts(facts: dict[str, Any]) -> None:
     width = max(map(len, facts), default=0)
     for name, value in facts.items():
-        print(f"{name:<{width}}  {value if isinstance(value, str) else json.dumps(value)}")
+        print(f"{name:<{width}}  {value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)}")
 
 
 VERB = Verb("info", "show what is in a store, and check that it is whole", run, add)

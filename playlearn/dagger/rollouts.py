@@ -131,7 +131,7 @@ def attempt(spec: RolloutSpec, numbers: Sequence[int], store: Path, note: Path) 
     for episode, outcome in zip(episodes, outcomes, strict=True):
         records.append(_record(episode, outcome))
         if records[-1].kept and outcome.episode is not None:
-            meta = replace(outcome.episode.meta, task=episode.task)
+            meta = replace(outcome.episode.meta, task=episode.task, success=True)
             write_episode(store, episode.episode, replace(outcome.episode, meta=meta))
     rows = [asdict(row) for row in sorted(records, key=lambda row: row.episode)]
     atomic_write(note, json.dumps(rows).encode())

@@ -236,7 +236,7 @@ class PlayDataset(Examples):
         if self.config.failure_fraction >= 1:
             return np.ones(len(t), np.bool_)
         episodes = self.episodes.tolist()
-        failing = [leads_to_failure(self.store.array(i, "skill"), self.store.meta(i).skills) for i in episodes]
+        failing = [leads_to_failure(self.store.array(i, "skill"), self.store.meta(i).annotations()) for i in episodes]
         recorded = np.repeat(self.store.indices()[self.episodes], self.table.lengths)
         drawn = counter_uniforms(0, recorded, t, 1)[:, 0] < self.config.failure_fraction
         return np.asarray(drawn | ~np.concatenate(failing))

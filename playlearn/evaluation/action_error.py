@@ -8,7 +8,6 @@ import torch
 
 from playlearn.config import from_dict, read_config
 from playlearn.data import DataConfig, PlayDataset
-from playlearn.episode import read_annotation
 from playlearn.errors import StoreError
 from playlearn.policies import Policy
 from playlearn.store import open_store, parse_store
@@ -37,7 +36,7 @@ def action_errors(run: Path) -> dict[str, Any]:
         return empty | {"note": "not measured: the run held no play out"}
     dataset: PlayDataset = data.build(store, "val", int(raw.get("seed", 0)))
     policy = Policy.load(run / "policy").eval()
-    names = [store.meta(int(i)).skills for i in range(len(store))]
+    annotations = [store.meta(int(i)).annotations() for i in range(len(store))]
     errors: dict[str, list[float]] = {}
     drawn = np.random.default_rng(0).permutation(len(dataset))[:EXAMPLES]
     for part in np.array_split(drawn, max(1, len(drawn) // 256)):
@@ -45,7 +44,7 @@ def action_errors(run: Path) -> dict[str, Any]:
         error = (policy.act(batch, torch.Generator().manual_seed(0)) - batch.action)[:, 0].abs().mean(dim=1)  # (B,)
         for value, i, t in zip(error.tolist(), *dataset.where(part), strict=True):
             skill = store.array(int(i), "skill")[t]
-            name = read_annotation(names[i][skill])[0] if names[i] else ""
+            name = annotations[i][skill][0]
             errors.setdefault(name, []).append(value)
     ordered = sorted(errors, key=lambda name: float(np.mean(errors[name])), reverse=True)
     rows = {name: {"examples": len(errors[name]), "error": float(np.mean(errors[name]))} for name in ordered}

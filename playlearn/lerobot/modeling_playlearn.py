@@ -25,6 +25,7 @@ from playlearn.lerobot.goals import GOAL_IMAGES, GOAL_PROPRIO, GOAL_STATE
 from playlearn.policies import Policy, PolicySpec
 from playlearn.policies.checkpoint import first_not_finite
 from playlearn.policies.execution import PolicyActor
+from playlearn.store.lerobot.metadata import load_metadata
 from playlearn.training.divergence import not_finite
 
 FRAME = ("episode_index", "frame_index")
@@ -190,18 +191,17 @@ def _fresh(config: PlaylearnConfig, stats: Mapping[str, Any] | None, meta: Any) 
     if stats is None or meta is None:
         raise UsageError("a fresh policy is made for a dataset: train it with lerobot-train, or give --policy.path")
     config.validate_features()
-    names = {key: tuple(feature.get("names") or ()) for key, feature in meta.features.items()}
+    dataset = load_metadata(meta.root)
+    names = {key: dataset.names(key) for key in (STATE, ACHIEVED, GOAL_STATE, "action") if key in dataset.features}
     num_achieved = len(names.get(GOAL_STATE, ())) if ACHIEVED in names else 0
-    sizes = {
-        key.removeprefix(IMAGES): meta.features[key]["shape"] for key in meta.camera_keys if key.startswith(IMAGES)
-    }
+    sizes = {one.key.removeprefix(IMAGES): one.size for one in dataset.cameras.values() if one.key.startswith(IMAGES)}
     action = {name: np.asarray(stats["action"][name], np.float64) for name in ("min", "max")}
     spec = PolicySpec(
         state_names=names[STATE],
         achieved_names=names.get(ACHIEVED, ())[:num_achieved],
         action_names=names["action"],
         fps=float(meta.fps),
-        cameras={name: (int(h), int(w)) for name, (h, w, _) in sizes.items() if not name.startswith("goal_")},
+        cameras={name: size for name, size in sizes.items() if not name.startswith("goal_")},
         bounded=bool(action["min"].min() >= -1 and action["max"].max() <= 1),
     )
     widths = {"state": (STATE, len(spec.state_names)), "achieved": (ACHIEVED, num_achieved), "action": ("action", None)}

@@ -5,23 +5,24 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from playlearn.episode import Array, read_annotation
+from playlearn.episode import Array
 
 FAILURES = frozenset({"mistake", "slip", "gave_up"})
 
 
-def leads_to_failure(skill: Array, names: Sequence[str]) -> NDArray[np.bool_]:
+def leads_to_failure(skill: Array, annotations: Sequence[tuple[str, Sequence[str]]]) -> NDArray[np.bool_]:
     """(T,) whether the attempt that each step belongs to fails there or later.
 
-    skill: (T,) indices of `names`, annotations such as `stack_red:slip`. An attempt lasts as long as its skill stays
-    the same, and ends where it is given up or begun `again`; it fails at the mark `mistake`, `slip` or `gave_up`. What
-    comes after is the recovery, and leads to no failure.
+    skill: (T,) indices of `annotations`, each a skill and its marks, such as `slip`. An attempt lasts as long as its
+    skill stays the same, and ends where it is given up or begun `again`; it fails at the mark `mistake`, `slip` or
+    `gave_up`. What comes after is the recovery, and leads to no failure.
     """
-    read = [read_annotation(name) for name in names] or [("", ())]
-    first = [[other for other, _ in read].index(name) for name, _ in read]  # one number a skill, whatever its marks
+    names = [name for name, _ in annotations]
+    first = [names.index(name) for name in names]  # one number a skill, whatever its marks
     attempted = np.array(first)[skill]
     fails, given_up, again = (
-        np.array([bool(marks & set(own)) for _, own in read])[skill] for marks in (FAILURES, {"gave_up"}, {"again"})
+        np.array([bool(marks & set(own)) for _, own in annotations])[skill]
+        for marks in (FAILURES, {"gave_up"}, {"again"})
     )
     ends = np.append((attempted[1:] != attempted[:-1]) | given_up[:-1] | again[1:], True)
     steps = np.arange(len(skill))

@@ -32,8 +32,9 @@ NAMES = ("gripper.opened", "arm.stopped")  # what changes at a settled moment th
 class RobotConfig:
     """Which dimensions of `observation.state` are gripper and arm; thresholds are measured (see `calibrate.measure`).
 
-    gripper: shell-style patterns; the first name that matches is the gripper's opening, more being wider.
-    arm: patterns of the arm's position; where none matches, everything but the gripper.
+    gripper: shell-style patterns, upper case like lower; the first name that matches is the gripper's opening, more
+        being wider.
+    arm: patterns of the arm's position; where none matches, everything but grippers.
     rest_seconds: for how long the arm is still before it counts as at rest, since it also pauses on its way.
     """
 
@@ -43,11 +44,22 @@ class RobotConfig:
 
     def columns(self, names: Sequence[str]) -> tuple[list[int], list[int]]:
         """The dimensions of the gripper, one or none, and of the arm, by the names of the state."""
-        grippers, arm = (
-            [k for k, name in enumerate(names) if any(fnmatchcase(name, pattern) for pattern in patterns)]
-            for patterns in (self.gripper, self.arm)
-        )
+        grippers, arm = _matching(names, self.gripper), _matching(names, self.arm)
         return grippers[:1], arm or [k for k in range(len(names)) if k not in grippers]
+
+    def describe(self, names: Sequence[str]) -> str:
+        """What settled moments are read from, and what was not found, by the names of the state."""
+        grippers, (first, columns) = _matching(names, self.gripper), self.columns(names)
+        arm = ", ".join(names[k] for k in columns) or "none"
+        setting = "`data.settling.robot.gripper`"
+        if not first:
+            patterns = ", ".join(self.gripper)
+            return (
+                f"no gripper ({patterns}): every stop of the arm ({arm}) counts as settled, unless {setting} names it"
+            )
+        others = ", ".join(names[k] for k in grippers[1:])
+        found = f"settled where the gripper ({names[first[0]]}) has opened or, closed, the arm ({arm}) stops"
+        return f"{found}; not by {others}, which {setting} can name instead" if others else found
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +134,12 @@ class RobotReader:
         """The last observation of t's configuration: until the gripper closes; while closed, until the arm moves."""
         leaves = (np.abs(arm[t:] - arm[t]) > self.rests).any(axis=1) if closed[t] else closed[t:]
         return t + int(leaves.argmax()) - 1 if leaves.any() else len(arm) - 1
+
+
+def _matching(names: Sequence[str], patterns: Sequence[str]) -> list[int]:
+    """The dimensions whose name matches one of the patterns, upper case like lower."""
+    lower = [pattern.lower() for pattern in patterns]
+    return [k for k, name in enumerate(names) if any(fnmatchcase(name.lower(), pattern) for pattern in lower)]
 
 
 def _openings(state: Array, gripper: Sequence[int]) -> NDArray[np.float64]:

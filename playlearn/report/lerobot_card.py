@@ -21,6 +21,7 @@ DESCRIPTIONS = {
     "action": "the label, without noise and mistakes",
     "intervention": "an expert took over",
     "next.success": "the goal is reached by this step",
+    "next.reward": "as it was recorded",
 }
 
 

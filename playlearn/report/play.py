@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from playlearn.episode import Array, read_annotation
+from playlearn.episode import Array
 from playlearn.errors import UsageError
 from playlearn.layout import ObjectLayout
 from playlearn.relabeling import RelabelIndex, SettlingConfig
@@ -34,6 +34,7 @@ class SkillAttempt:
     skill: its name.
     marks: annotations of any of its steps, and `missed_grasp` if the fingers closed on nothing and opened again.
     truncated: the episode ended during it, so its outcome is unknown.
+    unknown: it is a task in the recorder's own words, and nothing says how it ended.
     """
 
     episode: int
@@ -42,6 +43,7 @@ class SkillAttempt:
     skill: str
     marks: frozenset[str]
     truncated: bool
+    unknown: bool = False
 
     @property
     def failed(self) -> bool:
@@ -52,8 +54,8 @@ def attempts(store: Store) -> list[SkillAttempt]:
     """Every attempt of a store. The same skill twice in a row counts twice if its annotation says so."""
     found = []
     for i in range(len(store)):
-        annotations = [read_annotation(text) for text in store.meta(i).skills] or [("", ())]
-        numbers = store.array(i, "skill")
+        meta, numbers = store.meta(i), store.array(i, "skill")
+        annotations = meta.annotations()
         own = np.array([[name for name, _ in annotations].index(name) for name, _ in annotations])[numbers]
         gave_up, again = (np.array([mark in marks for _, marks in annotations])[numbers] for mark in (GAVE_UP, AGAIN))
         fresh = np.flatnonzero((own[1:] != own[:-1]) | gave_up[:-1] | again[1:]) + 1
@@ -62,7 +64,8 @@ def attempts(store: Store) -> list[SkillAttempt]:
             if _missed(store, i, begin, end):
                 marks.add(MISSED)
             truncated = end == len(own) and GAVE_UP not in marks
-            found.append(SkillAttempt(i, begin, end, annotations[numbers[begin]][0], frozenset(marks), truncated))
+            name, unknown = annotations[numbers[begin]][0], meta.verbatim and not truncated
+            found.append(SkillAttempt(i, begin, end, name, frozenset(marks), truncated, unknown))
     return found
 
 
@@ -112,14 +115,15 @@ def _missed(store: Store, i: int, begin: int, end: int) -> bool:
 
 
 def _outcomes(skill_attempts: Sequence[SkillAttempt]) -> dict[str, Any]:
-    """How many attempts, and how many of them succeeded, failed, or were truncated."""
-    known = [attempt for attempt in skill_attempts if not attempt.truncated]
+    """How many attempts, and how many of them succeeded, failed, were truncated or ended nobody knows how."""
+    known = [attempt for attempt in skill_attempts if not (attempt.truncated or attempt.unknown)]
     failed = sum(attempt.failed for attempt in known)
     return {
         "count": len(skill_attempts),
         "succeeded": len(known) - failed,
         "failed": failed,
-        "truncated": len(skill_attempts) - len(known),
+        "truncated": sum(attempt.truncated for attempt in skill_attempts),
+        "unknown": sum(attempt.unknown for attempt in skill_attempts),
     }
 
 
@@ -211,9 +215,9 @@ def _step_fractions(store: Store) -> dict[str, float]:
     """Mark of steps -> fraction of all steps that have it."""
     counts: dict[str, int] = {}
     for i in range(len(store)):
-        annotations = store.meta(i).skills
+        annotations = store.meta(i).annotations()
         for number, count in zip(*np.unique(store.array(i, "skill"), return_counts=True), strict=True):
-            for mark in read_annotation(annotations[number])[1] if annotations else ():
+            for mark in annotations[number][1]:
                 counts[mark] = counts.get(mark, 0) + int(count)
     marks = sorted(set(counts) - {GAVE_UP, AGAIN})
     return {mark: counts[mark] / int(store.lengths().sum()) for mark in marks}

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from playlearn.episode import IMAGES, Array, read_annotation
+from playlearn.episode import IMAGES, Array
 from playlearn.report.play import GAVE_UP, MISSED, SkillAttempt, attempts
 from playlearn.store import Store
 
@@ -136,8 +136,8 @@ def mark_name(mark: str) -> str:
 
 def _strip(store: Store, image_of: ImageSource, cameras: Sequence[str], attempt: SkillAttempt) -> Strip:
     steps = np.linspace(attempt.begin, attempt.end - 1, FRAMES).round().astype(int).tolist()
-    skills, numbers = store.meta(attempt.episode).skills, store.array(attempt.episode, "skill")
-    marks = [read_annotation(skills[numbers[t]])[1] if skills else () for t in range(attempt.begin, attempt.end)]
+    annotations, numbers = store.meta(attempt.episode).annotations(), store.array(attempt.episode, "skill")
+    marks = [annotations[numbers[t]][1] for t in range(attempt.begin, attempt.end)]
     # Each image stands for the steps up to the next one, so that short marks are not lost.
     stripe = [
         next((mark for mark in COLORS if any(mark in own for own in marks[a - attempt.begin : b - attempt.begin])), "")
@@ -145,7 +145,8 @@ def _strip(store: Store, image_of: ImageSource, cameras: Sequence[str], attempt:
     ]
     seconds = (attempt.end - attempt.begin) / store.spec.fps
     facts = [mark_name(mark) for mark in sorted(attempt.marks) if mark != GAVE_UP]
-    outcome = "truncated" if attempt.truncated else "gave up" if attempt.failed else "succeeded"
+    known = "gave up" if attempt.failed else "succeeded"
+    outcome = "truncated" if attempt.truncated else "ended" if attempt.unknown else known
     start = attempt.begin / store.spec.fps
     caption = f"{attempt.skill or 'play'}, episode {store.indices()[attempt.episode]} at {start:.1f} s: " + ", ".join(
         [*facts, f"{outcome} after {seconds:.1f} s"]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from playlearn.config import make_folder
-from playlearn.episode import IMAGES, Array, read_annotation
+from playlearn.episode import IMAGES, Array
 from playlearn.layout import ObjectLayout
 from playlearn.relabeling import RelabelIndex, SettlingConfig
 from playlearn.relabeling.robot import RobotReader
@@ -94,7 +94,7 @@ def drawing(store: Store, episode: int, settling: SettlingConfig) -> "Figure":
     if camera is not None:
         _frames(rows[0], store.array(episode, IMAGES + camera)[at], centers)
     _fan(fan, labels, centers, seconds[at] / seconds[-1])
-    _skills(skills, seconds, store.meta(episode).skills, store.array(episode, "skill"))
+    _skills(skills, seconds, store.meta(episode).annotations(), store.array(episode, "skill"))
     for axes, group_curves in zip(curves, curve_groups, strict=True):
         for moment, end, each in zip(seconds[moments], seconds[ends], changed, strict=True):
             own = group_curves.group in each
@@ -156,9 +156,8 @@ def _fan(axes: "Axes", labels: Sequence[str], centers: Array, fractions: Array) 
         axes.plot((center, center, fraction), (0.62, 0.5, 0), color="black", lw=0.6)
 
 
-def _skills(axes: "Axes", seconds: Array, names: Sequence[str], numbers: Array) -> None:
+def _skills(axes: "Axes", seconds: Array, annotations: Sequence[tuple[str, Sequence[str]]], numbers: Array) -> None:
     """A bar for each skill in its own color; below it the marks of its steps."""
-    annotations = [read_annotation(text) for text in names] or [("", ())]
     skills = [annotations[number][0] for number in numbers]
     marks = [next((mark for mark in COLORS if mark in annotations[number][1]), "") for number in numbers]
     order = list(dict.fromkeys(skills))

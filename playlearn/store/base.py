@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from playlearn.config import json_digest
-from playlearn.episode import IMAGES, Array, Episode, EpisodeMeta, read_annotation
+from playlearn.episode import IMAGES, Array, Episode, EpisodeMeta
 from playlearn.errors import StoreError
+
+_SUCCESS = {"success": True, "failure": False, "unknown": None}
 
 
 @dataclass(frozen=True)
@@ -110,6 +112,14 @@ class Store(Protocol):
         """Of what it holds, part by part (`episode 3`): the same as long as nobody has changed that part; quick."""
         ...
 
+    def remarks(self) -> Mapping[str, str]:
+        """Array, feature or camera of the source -> why it is left out, or not called what it is called there."""
+        ...
+
+    def rewards(self, i: int) -> Array | None:
+        """(T,) the rewards that episode i was recorded with; None where there are none."""
+        ...
+
     def verify(self) -> list[str]:
         """One line for each problem; reads everything. Empty: the store is intact."""
         ...
@@ -161,7 +171,7 @@ def summary(store: Store) -> dict[str, Any]:
     metas = [store.meta(i) for i in range(len(store))]
     skills: dict[str, int] = {}
     for i, meta in enumerate(metas):
-        names = [read_annotation(text)[0] for text in meta.skills] or [""]
+        names = [name for name, _ in meta.annotations()]
         own = np.array([names.index(name) for name in names])[store.array(i, "skill")]  # one number a skill
         for number in own[np.flatnonzero(np.diff(own, prepend=-1))]:
             skills[names[number]] = skills.get(names[number], 0) + 1
@@ -175,14 +185,19 @@ def summary(store: Store) -> dict[str, Any]:
         "achieved": list(store.spec.achieved_names),
         "action": list(store.spec.action_names),
         "cameras": {camera: {"height": h, "width": w} for camera, (h, w) in store.cameras().items()},
+        "tasks": _count(
+            task for meta in metas for task in {meta.task, *(meta.skills if meta.verbatim else ())} if task
+        ),
         "skills": {name: count for name, count in sorted(skills.items()) if name},
         "actors": _count(meta.actor for meta in metas),
         "ended": _count(meta.ended for meta in metas),
+        "success": {what: sum(meta.success is value for meta in metas) for what, value in _SUCCESS.items()},
         "versions": {
             package: sorted({meta.versions[package] for meta in metas if package in meta.versions})
             for package in sorted({package for meta in metas for package in meta.versions})
         },
         "renderers": _count(meta.renderer for meta in metas if meta.renderer),
+        "remarks": dict(store.remarks()),
     }
 
 

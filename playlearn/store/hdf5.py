@@ -14,6 +14,7 @@ from playlearn.episode import Array, Episode
 from playlearn.errors import EpisodeError, MissingStoreError, StoreError, UsageError
 
 _DEMO = re.compile(r"demo_(\d+)")
+_UNKNOWN = "left out: playlearn has no place for it"
 
 
 def import_h5py() -> Any:
@@ -48,25 +49,65 @@ def demonstration_names(file: Any, path: Path) -> dict[int, str]:
     """Number -> name of its group, in numeric order: demo_2 comes before demo_10.
 
     Raises:
-        StoreError: there are none.
+        StoreError: there are none, or two of one number (demo_1 and demo_01).
     """
     import h5py
 
     data = file.get("data")
     if not isinstance(data, h5py.Group):
         raise StoreError(f"{path} has no group `data`: it is from neither robomimic nor robosuite")
-    found = {int(match[1]): name for name in data if (match := _DEMO.fullmatch(name))}
+    found: dict[int, str] = {}
+    for name in data:
+        if match := _DEMO.fullmatch(name):
+            if int(match[1]) in found:
+                raise StoreError(f"{path}: {found[int(match[1])]} and {name} are of one number: rename one of them")
+            found[int(match[1])] = name
     if not found:
         raise StoreError(f"{path} holds no demonstration (no `data/demo_0` or the like)")
     return dict(sorted(found.items()))
 
 
+def demonstration(data: Any, name: str) -> Any:
+    """The group of a demonstration; raises StoreError if it is a link or no group."""
+    import h5py
+
+    where = f"{data.file.filename}: {name}"
+    if not isinstance(data.get(name, getlink=True), h5py.HardLink):
+        raise StoreError(f"{where} is a link, which is not followed")
+    if not isinstance(data[name], h5py.Group):
+        raise StoreError(f"{where} is an array, not a group of them")
+    return data[name]
+
+
+def unread(file: Any, names: Mapping[int, str], read: Sequence[str]) -> dict[str, str]:
+    """What is in the file and is not read -> why.
+
+    read: what is read of a demonstration, or is known to say nothing new.
+    """
+    found = {name: _UNKNOWN for name in file if name not in ("data", "mask")}
+    found |= {f"data/{name}": "left out: it is not named like a demonstration (demo_0)" for name in file["data"]}
+    for name in names.values():
+        del found[f"data/{name}"]
+        try:
+            found |= {key: _UNKNOWN for key in demonstration(file["data"], name) if key not in read}
+        except StoreError:  # reported with the demonstrations that are broken
+            continue
+    return found
+
+
 def masks(file: Any, path: Path, names: Mapping[int, str]) -> dict[str, list[int]]:
     """Mask -> the numbers of its demonstrations, in numeric order. Raises StoreError if a demonstration is missing."""
+    import h5py
+
+    group = file.get("mask")
+    if group is None:
+        return {}
+    if not isinstance(group, h5py.Group):
+        raise StoreError(f"{path}: mask is an array, not a group of them")
     numbers = {name: number for number, name in names.items()}
     found = {}
-    for mask in file.get("mask", ()):
-        members = [name.decode() if isinstance(name, bytes) else str(name) for name in plain_array(file["mask"], mask)]
+    for mask in group:
+        members = [name.decode() if isinstance(name, bytes) else str(name) for name in plain_array(group, mask).ravel()]
         missing = sorted(set(members) - numbers.keys())
         if missing:
             raise StoreError(f"{path}: mask {mask!r} names {missing[0]}, and there is no such demonstration")
@@ -81,6 +122,20 @@ def mask_members(mask: str | None, known: Mapping[str, Sequence[int]], path: Pat
     if mask not in known:
         raise UsageError(f"{path} has no mask {mask!r}{nearest(mask, list(known)) or '; it has none at all'}")
     return list(known[mask])
+
+
+def grouped(remarks: Mapping[str, str]) -> dict[str, str]:
+    """One remark for all that share it."""
+    owners: dict[str, list[str]] = {}
+    for name, why in remarks.items():
+        owners.setdefault(why, []).append(name)
+    return {", ".join(names): why for why, names in owners.items()}
+
+
+def beyond_mask(mask: str | None, chosen: int, total: int) -> dict[str, str]:
+    """What an import of one mask leaves out."""
+    left = total - chosen
+    return {"demonstrations": f"left out: {left} of {total}, as they are not in mask {mask!r}"} if left else {}
 
 
 def dataset(group: Any, key: str) -> Any:
@@ -102,7 +157,21 @@ def dataset(group: Any, key: str) -> Any:
         raise StoreError(f"{where} is a group, not an array")
     if place.is_virtual or place.external:
         raise StoreError(f"{where} has its numbers in another file, which is not read")
+    if place.shape is None:
+        raise StoreError(f"{where} is empty")
     return place
+
+
+def numbers_problem(one: Any, shape: Sequence[int]) -> str:
+    """What keeps a dataset from being real numbers, or truth values, of this shape; "" if nothing does."""
+    if one.shape != tuple(shape):
+        return f"has shape {one.shape}, not {tuple(shape)}"
+    return "" if is_numeric(one) else f"is of {one.dtype}, not of numbers"
+
+
+def is_numeric(one: Any) -> bool:
+    """Whether a dataset holds real numbers or truth values."""
+    return one.dtype.kind in "biuf"
 
 
 def plain_array(group: Any, key: str) -> Array:
@@ -116,9 +185,26 @@ def json_attribute(group: Any, key: str) -> dict[str, Any]:
     if text is None:
         return {}
     try:
-        return dict(json.loads(text))
-    except (TypeError, ValueError) as error:
-        raise StoreError(f"{group.file.filename}: the attribute {key} of {group.name} is not JSON ({error})") from error
+        return dict(json.loads(text).items())
+    except (TypeError, ValueError, AttributeError) as error:
+        raise StoreError(
+            f"{group.file.filename}: the attribute {key} of {group.name} is no JSON object ({error})"
+        ) from error
+
+
+def frequency(given: float | None, stated: Any, path: Path, otherwise: float) -> float:
+    """Control steps a second: as given, else as the file states it, else as is usual.
+
+    Raises:
+        StoreError: the file states something else than a frequency.
+        UsageError: so does the user.
+    """
+    if given is not None and not 0 < given < float("inf"):
+        raise UsageError(f"fps must be above 0, got {given:g}")
+    value = given if given is not None else otherwise if stated is None else stated
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < float("inf"):
+        raise StoreError(f"{path} states control_freq {value!r}, which is no frequency: say --fps")
+    return float(value)
 
 
 class Demonstrations:
@@ -127,11 +213,13 @@ class Demonstrations:
     _path: the file.
     _names: number of a demonstration -> its name.
     _problems: number of a demonstration -> what is wrong with it.
+    remarks: array -> why it is left out, or not called what it is called there.
     """
 
     _path: Path
     _names: Mapping[int, str]
     _problems: Mapping[int, str]
+    remarks: Mapping[str, str]
 
     def names(self) -> Mapping[int, str]:
         return self._names
@@ -144,8 +232,8 @@ class Demonstrations:
             for number in numbers:
                 name = f"{self._path}: {self._names[number]}"
                 try:
-                    yield number, self._episode(file["data"][self._names[number]], number, name)
-                except (EpisodeError, OSError) as error:
+                    yield number, self._episode(demonstration(file["data"], self._names[number]), number, name)
+                except (EpisodeError, OSError, ValueError, TypeError) as error:
                     yield number, StoreError(f"{name}: {error}")
                 except StoreError as error:
                     yield number, error

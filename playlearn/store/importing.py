@@ -10,9 +10,8 @@ from playlearn.config import RunFolder, atomic_write
 from playlearn.episode import Episode
 from playlearn.errors import StoreError, UsageError
 from playlearn.store.base import StoreSpec, plain
-from playlearn.store.native import NativeStore
+from playlearn.store.native import IMPORTED, NativeStore
 
-NOTE = "import.json"  # what the episodes were made from, beside store.json
 _MAX_LISTED = 10  # broken recordings in one message
 
 
@@ -22,11 +21,13 @@ class Recordings(Protocol):
     spec: of the store.
     note: everything that determines the episodes, as JSON.
     splits: name -> numbers of its episodes.
+    remarks: array, feature or camera of the source -> why it is left out, or not called what it is called there.
     """
 
     spec: StoreSpec
     note: Mapping[str, Any]
     splits: Mapping[str, Sequence[int]]
+    remarks: Mapping[str, str]
 
     def names(self) -> Mapping[int, str]:
         """Number -> name in the source, of every recording to import."""
@@ -63,6 +64,8 @@ def import_recordings(
     if broken and not skip_broken:
         raise StoreError(_format_problems(broken, len(names)))
     store = _begin(recordings, out)
+    for name, remark in recordings.remarks.items():
+        say(f"{name}: {remark}")
     with store.writer() as writer:
         done = set(store.indices().tolist())
         for number, got in recordings.read([n for n in sorted(names) if n not in done and n not in broken]):
@@ -81,16 +84,18 @@ def import_recordings(
 
 
 def _begin(recordings: Recordings, out: Path) -> NativeStore:
-    note = plain({**recordings.note, "splits": recordings.splits})
+    note = plain({**recordings.note, "splits": recordings.splits, "remarks": recordings.remarks})
     if not (out / "store.json").exists():
         text = json.dumps(note, indent=2).encode()
-        return NativeStore.create(out, recordings.spec, {NOTE: lambda path: atomic_write(path, text)})
+        return NativeStore.create(out, recordings.spec, {IMPORTED: lambda path: atomic_write(path, text)})
     store = NativeStore.open(out)
     try:
-        before = json.loads((out / NOTE).read_text())
+        before = json.loads((out / IMPORTED).read_text())
     except (OSError, ValueError) as error:
-        raise UsageError(f"{out} was not made by `playlearn import` (no {NOTE} to read): give another OUT") from error
-    RunFolder(out, NOTE, "import", "give another OUT").check_same(before, note)
+        raise UsageError(
+            f"{out} was not made by `playlearn import` (no {IMPORTED} to read): give another OUT"
+        ) from error
+    RunFolder(out, IMPORTED, "import", "give another OUT", adjustable=["remarks"]).check_same(before, note)
     store.spec.check(recordings.spec)
     return store
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from playlearn.config import atomic_write, held, make_folder
-from playlearn.episode import Array, Episode, EpisodeMeta
+from playlearn.episode import REWARD, Array, Episode, EpisodeMeta
 from playlearn.errors import DiskError, EpisodeError, MissingStoreError, StoreError
 from playlearn.store.base import StoreConfig, StoreSpec, from_json, spec_digest, summary, to_json, with_images
 from playlearn.store.folder import check_free, episode_path, foreign_files, indices, sweep
@@ -29,6 +29,7 @@ from playlearn.store.mmap_cache import MmapCache
 from playlearn.store.tensors import DAMAGED, Header, Layout, checksum_holds, map_tensors, read_header, write_tensors
 
 FORMAT, VERSION = "playlearn", 1
+IMPORTED = "import.json"  # beside store.json: what the episodes of an import were made from
 _MAX_LISTED = 10  # damaged files in one message
 
 
@@ -163,6 +164,9 @@ class NativeStore:
             raise StoreError(f"{self.path} has no {key}: it has {', '.join(sorted(arrays))}")
         return arrays[key]
 
+    def rewards(self, i: int) -> Array | None:
+        return self._arrays(i).get(REWARD)
+
     def with_images(self, i: int, images: Mapping[str, Array], renderer: str) -> Episode:
         """Episode i with other images, for a store of its own (see `base.with_images`)."""
         return with_images(self.read(i), images, renderer)
@@ -186,6 +190,14 @@ class NativeStore:
             except (EpisodeError, StoreError) as error:
                 problems.append(f"{path}: {error}")
         return problems
+
+    def remarks(self) -> dict[str, str]:
+        if not (self.path / IMPORTED).is_file():
+            return {}
+        try:
+            return dict(json.loads((self.path / IMPORTED).read_text(encoding="utf-8")).get("remarks", {}))
+        except (OSError, *DAMAGED) as error:
+            raise StoreError(f"{self.path / IMPORTED} cannot be read ({error}): import it again") from error
 
     def info(self) -> dict[str, Any]:
         present = set(self._indices)

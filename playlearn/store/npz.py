@@ -102,6 +102,8 @@ def _begin(stack: ExitStack, archive: zipfile.ZipFile, path: Path, name: str) ->
     shape, fortran, dtype = read(stream)  # type: ignore[no-untyped-call]
     if dtype.hasobject:
         raise StoreError(f"{path}: {name} holds Python objects, which are not read: they can run code")
+    if dtype.kind not in "biuf":
+        raise StoreError(f"{path}: {name} is of {dtype}, not of numbers")
     if fortran and len(shape) > 1:
         raise StoreError(f"{path}: {name} is stored column by column; save it again with np.ascontiguousarray")
     if not shape:

@@ -75,6 +75,9 @@ class OgbenchFile:
         """
         self._path, present = path, members(path)
         with Rows(path, ["terminals"]) as rows:
+            if rows.shapes["terminals"] not in ((), (1,)):
+                shape = (rows.length, *rows.shapes["terminals"])
+                raise StoreError(f"{path}: terminals of the shape {shape}, not one for each row")
             terminals = np.asarray(rows.take(rows.length)["terminals"]).reshape(-1)
         kept = [name for name in ("qpos", "qvel", "button_states") if name in present]
         self._arrays = [*_ARRAYS, *kept]
@@ -85,6 +88,8 @@ class OgbenchFile:
             raise StoreError(f"{path}: its last row does not end an episode: it is incomplete; fetch it again")
         self._bounds = np.concatenate([[0], ends])
         self.splits: Mapping[str, Sequence[int]] = {}
+        others = [name for name in present if name not in self._arrays]
+        self.remarks: Mapping[str, str] = dict.fromkeys(others, "left out: playlearn has no place for it")
         self.spec = StoreSpec(self._kind.environment, STATE_NAMES, self._kind.achieved_names, ACTION_NAMES, FPS)
         self.note = {"format": "ogbench", "source": path.name, "bytes": path.stat().st_size}
 

@@ -1,7 +1,8 @@
 """Import of robomimic's HDF5 (Mandlekar et al., 2021, arXiv:2108.03298): low-dimensional or with images.
 
 A demonstration has T actions and the T observations before them. The observation after the last action is missing, so
-an episode has the first T - 1 actions. Dimensions keep robomimic's names: `robot0_eef_pos.x`, `object.3`.
+an episode has the first T - 1 actions. Dimensions keep robomimic's names (`robot0_eef_pos.x`), but for the objects of
+robosuite's own tasks (`cube.x`, see `robosuite_objects`); what depends on the hand is left out of them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,34 +12,50 @@ from typing import Any
 
 import numpy as np
 
-from playlearn.config import nearest
 from playlearn.episode import Array, Episode, EpisodeMeta
-from playlearn.errors import StoreError, UsageError
+from playlearn.errors import StoreError
 from playlearn.store.base import StoreSpec, plain
 from playlearn.store.hdf5 import (
     Demonstrations,
+    beyond_mask,
     dataset,
+    demonstration,
     demonstration_names,
+    frequency,
+    grouped,
     json_attribute,
     mask_members,
     masks,
+    numbers_problem,
     open_hdf5,
+    unread,
 )
+from playlearn.store.object_dimensions import ObjectDimensions, choose_dimensions, own_dimensions
+from playlearn.store.robomimic_keys import ACHIEVED, IMAGE, choose_keys
+from playlearn.store.robosuite_objects import known_order
+from playlearn.store.success import Signals, SuccessRule, follow_convention, how_ended
+
+__all__ = ["ACHIEVED", "IMAGE", "STATE", "RobomimicConfig", "RobomimicFile"]
 
 FPS = 20.0  # robosuite's default, for files that do not state it
 ACTIONS = ("dx", "dy", "dz", "droll", "dpitch", "dyaw", "gripper")  # robosuite's OSC_POSE
-_PROPRIO = ("eef_pos", "eef_quat", "gripper_qpos")
+STATE = "robot0_state"  # what `robomimic_export` calls the robot's
+SPARSE = (1, 3)  # robomimic's types of environments (robosuite, iGibson) that have its convention of rewards
 _PARTS = {"pos": ("x", "y", "z"), "quat": ("qx", "qy", "qz", "qw")}
-IMAGE = "_image"  # suffix of a camera's key
-SUCCESS = "success"  # how an episode ends that was rewarded
+_READ = ("actions", "states", "rewards", "dones", "obs", "next_obs")
+_LOOKED_AT = 5  # demonstrations in which the order of the objects' numbers is looked for
 
 
 @dataclass(frozen=True)
 class RobomimicConfig:
     """How a file of robomimic is imported.
 
-    state: keys of `obs` with the robot's proprioception (null: see `_keys`).
-    achieved: keys of `obs` with the objects that goals are about (null: see `_keys`).
+    state: keys of `obs` with the robot's proprioception (null: see `choose_keys`).
+    achieved: keys of `obs` with the objects that goals are about (null: see `choose_keys`).
+    goal_names: shell-style patterns of their dimensions that goals are about, such as `cube.*` (null: all that do not
+        depend on the hand).
+    success: which demonstrations succeeded, a rule such as `all`, `none`, `dones`, `reward>=1` or `last_reward>=0`
+        (null: as robomimic's 0 and 1 say, else unknown).
     cameras: names without their suffix `_image` (null: all).
     mask: import only the demonstrations of this mask (null: all).
     val_mask: mask of the validation split; if it names none or all of the imported demonstrations, they are split by
@@ -48,13 +65,15 @@ class RobomimicConfig:
 
     state: tuple[str, ...] | None = None
     achieved: tuple[str, ...] | None = None
+    goal_names: tuple[str, ...] | None = None
+    success: str | None = None
     cameras: tuple[str, ...] | None = None
     mask: str | None = None
     val_mask: str = "valid"
     fps: float | None = None
 
     def build(self, path: Path) -> "RobomimicFile":
-        return RobomimicFile(path, self.state, self.achieved, self.cameras, self.mask, self.val_mask, self.fps)
+        return RobomimicFile(path, **{name: getattr(self, name) for name in self.__dataclass_fields__})
 
 
 class RobomimicFile(Demonstrations):
@@ -63,20 +82,23 @@ class RobomimicFile(Demonstrations):
     def __init__(
         self,
         path: Path,
+        *,
         state: tuple[str, ...] | None = None,
         achieved: tuple[str, ...] | None = None,
+        goal_names: tuple[str, ...] | None = None,
+        success: str | None = None,
         cameras: tuple[str, ...] | None = None,
         mask: str | None = None,
         val_mask: str = "valid",
         fps: float | None = None,
     ) -> None:
-        """Checks the shapes of every demonstration, and reads none; arguments as in `RobomimicConfig`.
+        """Checks the shapes of every demonstration, and reads what tells objects and success; see `RobomimicConfig`.
 
         Raises:
             StoreError: it is not such a file, or has no observations.
-            UsageError: a key, camera or mask is missing in it.
+            UsageError: a key, camera or mask is missing in it, or goals have nothing to be about.
         """
-        self._path = path
+        self._path, rule = path, None if success is None else SuccessRule(success)
         with open_hdf5(path) as file:
             names = demonstration_names(file, path)
             self.splits: Mapping[str, Sequence[int]] = masks(file, path, names)
@@ -85,44 +107,124 @@ class RobomimicFile(Demonstrations):
             val = self._names.keys() & set(self.splits.get(val_mask, ()))
             self._val = val if val != self._names.keys() else set()
             arguments = json_attribute(file["data"], "env_args")
-            first = file["data"][next(iter(self._names.values()))]
-            self._state, self._achieved, self._cameras = _keys(first, path, state, achieved, cameras)
+            first = self._first(file)
+            self._keys = choose_keys(first["obs"], path, state, achieved, cameras)
             self._layout = {key: dataset(first, key).shape[1:] for key in self._all()}
-            kwargs = arguments.get("env_kwargs") or {}
-            name = str(arguments.get("env_name", "unknown"))
             self._problems = {number: problem for number in self._names if (problem := self._problem(file, number))}
-        actions = int(self._layout["actions"][0])
+            sound = [demonstration(file["data"], name) for n, name in self._names.items() if n not in self._problems]
+            if not sound:
+                raise StoreError("\n".join(self._problems.values()))
+            self._objects = self._dimensions(sound, arguments, goal_names)
+            self._sparse = _is_sparse(sound, arguments)
+            self._success = {group.name: self._succeeded(group, rule) for group in sound}
+            rest = beyond_mask(mask, len(self._names), len(names)) | unread(file, names, _READ)
+            rest |= self._not_everywhere(sound)
+        recorded = _own_names(arguments)
         self.spec = StoreSpec(
-            environment={"type": f"robomimic:{name}", "env_args": arguments},
-            state_names=self._parts(self._state),
-            achieved_names=self._parts(self._achieved),
-            action_names=ACTIONS if actions == len(ACTIONS) else tuple(f"action.{k}" for k in range(actions)),
-            fps=float(fps or kwargs.get("control_freq") or FPS),
-            cameras={camera: self._layout[key][:2] for camera, key in self._cameras.items()},
+            environment={"type": f"robomimic:{arguments.get('env_name', 'unknown')}", "env_args": arguments},
+            state_names=_fitting(recorded.get("state"), self._parts(self._keys.state)),
+            achieved_names=self._objects.goals(),
+            action_names=_fitting(recorded.get("action"), action_names(int(self._layout["actions"][0]))),
+            fps=frequency(fps, _kwargs(arguments).get("control_freq"), path, FPS),
+            cameras={camera: self._layout[f"obs/{key}"][:2] for camera, key in self._keys.cameras.items()},
         )
-        settings = {"state": state, "achieved": achieved, "cameras": cameras, "mask": mask, "val_mask": val_mask}
-        note = {"format": "robomimic", "source": path.name, "bytes": path.stat().st_size, **settings, "fps": fps}
-        self.note = plain(note)
+        seen = {f"obs/{key}": why for key, why in self._keys.remarks.items()}
+        self.remarks = grouped({**seen, **rest, **self._objects.remarks})
+        keys = {"state": state, "achieved": achieved, "goal_names": goal_names, "cameras": cameras}
+        settings = {**keys, "mask": mask, "val_mask": val_mask, "fps": fps, "success": success}
+        self.note = plain({"format": "robomimic", "source": path.name, "bytes": path.stat().st_size, **settings})
+
+    def _first(self, file: Any) -> Any:
+        """The first demonstration that has observations, which the others must match."""
+        import h5py
+
+        for name in self._names.values():
+            try:
+                group = demonstration(file["data"], name)
+            except StoreError:
+                continue
+            if isinstance(group.get("obs"), h5py.Group) and "actions" in group and dataset(group, "actions").ndim == 2:
+                return group
+        raise StoreError(
+            f"{self._path} has no observations, only simulator states: import it with `playlearn import robosuite`, "
+            "or let robomimic's dataset_states_to_obs.py observe it first"
+        )
 
     def _all(self) -> list[str]:
-        return ["actions", *(f"obs/{key}" for key in (*self._state, *self._achieved)), *self._cameras.values()]
+        return ["actions", *(f"obs/{key}" for key in self._keys.everything())]
 
     def _problem(self, file: Any, number: int) -> str | None:
         """Why a demonstration does not match the first one; None if it does."""
-        group, name = file["data"][self._names[number]], f"{self._path}: {self._names[number]}"
+        name = f"{self._path}: {self._names[number]}"
         try:
+            group = demonstration(file["data"], self._names[number])
             found = {key: dataset(group, key) for key in self._all()}
+            rows = found["actions"].shape[0] if found["actions"].ndim == 2 else 0
+            if rows < 2:
+                return (
+                    f"{name} has {rows} actions (of shape {found['actions'].shape}), and an episode needs two or more"
+                )
+            shapes = {key: (rows, *self._layout[key]) for key in found}
+            for key in ("rewards", "dones"):
+                if key in group:
+                    found[key] = one = dataset(group, key)
+                    shapes[key] = (rows, 1) if one.ndim == 2 else (rows,)
+            if "states" in group:
+                found["states"] = one = dataset(group, "states")
+                shapes["states"] = (rows, *one.shape[1:2])
         except StoreError as error:
             return str(error)
-        rows = found["actions"].shape[0] if found["actions"].ndim == 2 else 0
-        if rows < 2:
-            return f"{name} has {rows} actions, and an episode needs two or more"
         for key, one in found.items():
-            if one.shape != (rows, *self._layout[key]):
-                return f"{name}: {key} has shape {one.shape}, not {(rows, *self._layout[key])}"
-            if not np.issubdtype(one.dtype, np.number):
-                return f"{name}: {key} is of {one.dtype}, not of numbers"
+            if problem := numbers_problem(one, shapes[key]):
+                return f"{name}: {key} {problem}"
         return None
+
+    def _not_everywhere(self, groups: Sequence[Any]) -> dict[str, str]:
+        """Observations that only some demonstrations have, the first one not among them."""
+        known = {*self._keys.everything(), *self._keys.remarks}
+        return {
+            f"obs/{key}": "left out: not every demonstration has it"
+            for group in groups
+            for key in group["obs"]
+            if key not in known
+        }
+
+    def _dimensions(
+        self, groups: Sequence[Any], arguments: Mapping[str, Any], goal_names: tuple[str, ...] | None
+    ) -> ObjectDimensions:
+        """What each number about objects is called, and whether goals are about it."""
+        names, keys = self._parts(self._keys.achieved), self._keys
+        recorded = _own_names(arguments).get("achieved", ())
+        if keys.achieved == (ACHIEVED,) and len(recorded) == len(names):
+            return own_dimensions(recorded, goal_names)
+        order = None
+        if keys.achieved == (ACHIEVED,):
+            looked = groups[:: max(1, len(groups) // _LOOKED_AT)]
+            hands = [np.concatenate([self._vectors(group, [key]) for group in looked]) for key in keys.hands()]
+            order = known_order(
+                str(arguments.get("env_name", "")),
+                str(arguments.get("env_version") or ""),
+                [self._vectors(group, keys.achieved) for group in looked],
+                [self._vectors(group, keys.state) for group in looked],
+                [hand for hand in hands if hand.shape[1] == 3],
+            )
+        return choose_dimensions(
+            order,
+            names,
+            lambda: [(self._vectors(group, keys.achieved), self._vectors(group, keys.state)) for group in groups],
+            goal_names,
+            self._path,
+            "--achieved '[]'",
+        )
+
+    def _succeeded(self, group: Any, rule: SuccessRule | None) -> bool | None:
+        """Whether a demonstration succeeded; None where that is not known."""
+        own, stated = _signals(group), group.attrs.get("success")
+        if rule is not None:
+            return rule(own, f"{self._path}: {group.name}")
+        if isinstance(stated, np.bool_):  # as `robomimic_export` writes it
+            return bool(stated)
+        return bool(own.rewards.any()) if self._sparse and own.rewards is not None else None
 
     def _parts(self, keys: Sequence[str]) -> tuple[str, ...]:
         names: list[str] = []
@@ -132,16 +234,16 @@ class RobomimicFile(Demonstrations):
             names += [f"{key}.{part}" for part in (parts if len(parts) == width else range(width))]
         return tuple(names)
 
+    def _vectors(self, group: Any, keys: Sequence[str]) -> Array:
+        """(T, n) float32, side by side."""
+        rows = dataset(group, "actions").shape[0]
+        columns = [np.asarray(dataset(group, f"obs/{key}"), np.float32).reshape(rows, -1) for key in keys]
+        return np.concatenate([np.zeros((rows, 0), np.float32), *columns], axis=1)
+
     def _episode(self, group: Any, number: int, name: str) -> Episode:
-        steps = dataset(group, "actions").shape[0] - 1
-
-        def together(keys: Sequence[str]) -> Array:
-            columns = [np.asarray(dataset(group, f"obs/{key}"), np.float32).reshape(steps + 1, -1) for key in keys]
-            return np.concatenate([np.zeros((steps + 1, 0), np.float32), *columns], axis=1)
-
+        steps, success = dataset(group, "actions").shape[0] - 1, self._success[group.name]
         action = np.asarray(dataset(group, "actions")[:steps], np.float32)
         states = np.asarray(dataset(group, "states"), np.float64) if "states" in group else np.zeros((steps + 1, 0))
-        success = "rewards" in group and bool((plain := np.asarray(dataset(group, "rewards"))).size and plain.max() > 0)
         meta = EpisodeMeta(
             environment=self.spec.environment,
             state_names=self.spec.state_names,
@@ -151,58 +253,66 @@ class RobomimicFile(Demonstrations):
             seed=number,
             actor="demonstrator",
             cameras={camera: {"height": h, "width": w} for camera, (h, w) in self.spec.cameras.items()},
-            ended=SUCCESS if success else "length",
+            ended=how_ended(success),
             split=("val" if number in self._val else "train") if self._val else "",
+            success=success,
         )
         return Episode(
             meta=meta,
-            state=together(self._state),
-            achieved=together(self._achieved),
-            sim_state=states,
+            state=self._vectors(group, self._keys.state),
+            achieved=self._vectors(group, self._keys.achieved)[:, list(self._objects.kept)],
+            sim_state=states.reshape(steps + 1, -1),
             time=np.arange(steps + 1) / self.spec.fps,
             action=action,
             expert_action=action.copy(),
             intervention=np.zeros(steps, np.bool_),
             skill=np.zeros(steps, np.int16),
-            images={camera: np.asarray(dataset(group, key)) for camera, key in self._cameras.items()},
+            images={camera: np.asarray(dataset(group, f"obs/{key}")) for camera, key in self._keys.cameras.items()},
+            reward=self._reward(_signals(group).rewards),
         )
 
-
-def _keys(
-    group: Any,
-    path: Path,
-    state: tuple[str, ...] | None,
-    achieved: tuple[str, ...] | None,
-    cameras: tuple[str, ...] | None,
-) -> tuple[tuple[str, ...], tuple[str, ...], dict[str, str]]:
-    """Keys of the state, keys of the achieved goal, and camera -> key of its images, read from one demonstration.
-
-    Default state: each robot's end effector and gripper, or every key named after a robot if those are missing.
-    Default achieved goal: `object`, or all other vectors if it is missing.
-    """
-    if "obs" not in group:
-        raise StoreError(
-            f"{path} has no observations, only simulator states: import it with `playlearn import robosuite`, "
-            "or let robomimic's dataset_states_to_obs.py observe it first"
-        )
-    shapes = {key: dataset(group["obs"], key) for key in group["obs"]}
-    images = {key.removesuffix(IMAGE): f"obs/{key}" for key, one in shapes.items() if _is_image(one)}
-    vectors = [key for key, one in shapes.items() if one.ndim in (1, 2) and np.issubdtype(one.dtype, np.number)]
-    robots = [key for key in vectors if key.startswith("robot")]
-    proprio = [key for key in robots if key.partition("_")[2] in _PROPRIO]
-    objects = ["object"] if "object" in vectors else [key for key in vectors if key not in robots]
-    for what, wanted, known in (
-        ("state", state, vectors),
-        ("achieved", achieved, vectors),
-        ("cameras", cameras, list(images)),
-    ):
-        for key in wanted or ():
-            if key not in known:
-                raise UsageError(f"{what}: {path} has no {key!r} in its observations{nearest(key, known)}")
-    state = tuple(proprio or robots) if state is None else state
-    achieved = tuple(objects) if achieved is None else achieved
-    return state, achieved, {name: images[name] for name in (images if cameras is None else cameras)}
+    def _reward(self, recorded: Array | None) -> Array | None:
+        """(T-1,) the rewards of the actions that an episode has; a mark of success moves to its new end."""
+        if recorded is None:
+            return None
+        kept = recorded[:-1].copy()
+        if self._sparse:
+            kept[-1] = max(kept[-1], recorded[-1])
+        return kept
 
 
-def _is_image(one: Any) -> bool:
-    return bool(one.ndim == 4 and one.shape[3] == 3 and one.dtype == np.uint8)
+def _signals(group: Any) -> Signals:
+    rewards, dones = (
+        np.asarray(dataset(group, key), np.float64).reshape(-1) if key in group else None
+        for key in ("rewards", "dones")
+    )
+    return Signals(rewards, dones)
+
+
+def _is_sparse(groups: Sequence[Any], arguments: Mapping[str, Any]) -> bool:
+    """Whether rewards are robomimic's marks of success."""
+    rewards = [own for group in groups if (own := _signals(group).rewards) is not None]
+    shaped = bool(_kwargs(arguments).get("reward_shaping"))
+    return arguments.get("type") in SPARSE and not shaped and follow_convention(rewards)
+
+
+def _kwargs(arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+    found = arguments.get("env_kwargs")
+    return found if isinstance(found, Mapping) else {}
+
+
+def _own_names(arguments: Mapping[str, Any]) -> Mapping[str, tuple[str, ...]]:
+    """State, achieved, action -> the names that `robomimic_export` wrote; {} for a file of somebody else."""
+    own = arguments.get("playlearn")
+    names = own.get("names") if isinstance(own, Mapping) else None
+    found = names if isinstance(names, Mapping) else {}
+    return {part: tuple(map(str, listed)) for part, listed in found.items() if isinstance(listed, list)}
+
+
+def _fitting(recorded: tuple[str, ...] | None, otherwise: tuple[str, ...]) -> tuple[str, ...]:
+    return recorded if recorded is not None and len(recorded) == len(otherwise) else otherwise
+
+
+def action_names(width: int) -> tuple[str, ...]:
+    """Those of robosuite's default controller, or numbers."""
+    return ACTIONS if width == len(ACTIONS) else tuple(f"action.{k}" for k in range(width))

@@ -2,12 +2,14 @@
 
     data/demo_7/actions   (T, A)   the labels        obs/robot0_state   (T, S)          proprioception
                /states    (T, N)                     obs/object         (T, G)          achieved: objects and fixtures
-               /rewards   (T,)     1 at success      obs/<camera>_image (T, h, w, 3)
+               /rewards   (T,)     as recorded       obs/<camera>_image (T, h, w, 3)
                /dones     (T,)     1 at the end      next_obs/...       the same, one step later
+                                                     attribute success  whether it succeeded, where that is known
     mask/train, mask/valid                           training and validation split
 
-A demonstration has its episode's number. `playlearn import robomimic` drops the last action of each recording, as it
-reads `obs` only. The names of all dimensions are in `env_args`, which robomimic passes on.
+Without recorded rewards they are 0, and 1 at the end of an episode that succeeded. A demonstration has its episode's
+number. `playlearn import robomimic` drops the last action of each recording, as it reads `obs` only. The names of all
+dimensions are in `env_args`, which robomimic passes on.
 """
 
 import json
@@ -21,10 +23,8 @@ from playlearn.episode import Array, Episode
 from playlearn.errors import StoreError
 from playlearn.store.base import Store, plain
 from playlearn.store.hdf5_writer import new_hdf5
-from playlearn.store.lerobot.content import SUCCEEDED
-from playlearn.store.robomimic import IMAGE, SUCCESS, RobomimicFile
+from playlearn.store.robomimic import ACHIEVED, IMAGE, STATE, RobomimicFile
 
-STATE, ACHIEVED = "robot0_state", "object"
 GYM = 2  # robomimic's type of an environment that it does not build itself
 
 
@@ -81,9 +81,10 @@ def _write(group: Any, episode: Episode) -> None:
     group["actions"] = episode.expert_action
     group["states"] = episode.sim_state[:steps]
     group["dones"] = ends.astype(np.int64)
-    meta = episode.meta
-    success = meta.ended == SUCCESS or bool(meta.task and meta.ended == SUCCEEDED)  # play without a task has no success
-    group["rewards"] = (ends & success).astype(np.float64)
+    success, marks = episode.meta.success, (ends & bool(episode.meta.success)).astype(np.float64)
+    group["rewards"] = marks if episode.reward is None else episode.reward
+    if success is not None:
+        group.attrs["success"] = success
     observed = {STATE: episode.state, ACHIEVED: episode.achieved}
     for key, value in observed.items():
         if value.shape[1]:

@@ -3,8 +3,9 @@
 Observations are computed with each demonstration's own model, set to each of its states. A demonstration has T actions
 and the T states before them, so an episode has the first T - 1 actions.
 
-state       eef.x y z, eef.r00 r10 r20 r01 r11 r21 (two columns of its rotation), gripper.q0 ... (its joints)
-achieved    <joint>.x y z qw qx qy qz of free joints, <joint>.pos of hinge and slide joints
+state       eef.x y z, eef.r00 r10 r20 r01 r11 r21 (two columns of its rotation), gripper.q0 ... (its joints); of
+            several hands eef0 ..., eef1 ..., gripper0 ..., gripper1 ...
+achieved    <joint>.x y z qw qx qy qz of free joints, <joint>.pos of hinge and slide joints, but for the robot's own
 """
 
 import xml.etree.ElementTree as ElementTree
@@ -18,17 +19,25 @@ import numpy as np
 
 from playlearn.episode import Array, Episode, EpisodeMeta
 from playlearn.errors import StoreError
-from playlearn.store.base import StoreSpec
+from playlearn.store.base import StoreSpec, plain
 from playlearn.store.hdf5 import (
     Demonstrations,
+    beyond_mask,
     dataset,
+    demonstration,
     demonstration_names,
+    frequency,
+    grouped,
+    is_numeric,
     json_attribute,
     mask_members,
     masks,
     open_hdf5,
+    unread,
 )
-from playlearn.store.robomimic import ACTIONS, FPS
+from playlearn.store.object_dimensions import own_dimensions
+from playlearn.store.robomimic import FPS, action_names
+from playlearn.store.success import Signals, SuccessRule, how_ended
 
 _PLACE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _TURN = ("r00", "r10", "r20", "r01", "r11", "r21")
@@ -42,26 +51,37 @@ class RobosuiteConfig:
 
     mask: import only the demonstrations of this mask (null: all).
     fps: control steps a second (null: as the file says, else 20).
+    goal_names: shell-style patterns of the numbers of objects that goals are about (null: all).
+    success: whether the demonstrations succeeded, `all` or `none` (null: unknown; the file does not say).
     """
 
     mask: str | None = None
     fps: float | None = None
+    goal_names: tuple[str, ...] | None = None
+    success: str | None = None
 
     def build(self, path: Path) -> "RobosuiteFile":
-        return RobosuiteFile(path, self.mask, self.fps)
+        return RobosuiteFile(path, self.mask, self.fps, self.goal_names, self.success)
 
 
 class RobosuiteFile(Demonstrations):
     """`Recordings` of one file."""
 
-    def __init__(self, path: Path, mask: str | None = None, fps: float | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        mask: str | None = None,
+        fps: float | None = None,
+        goal_names: tuple[str, ...] | None = None,
+        success: str | None = None,
+    ) -> None:
         """Checks the shapes of every demonstration, and compiles the model of the first; arguments: `RobosuiteConfig`.
 
         Raises:
             StoreError: it is not such a file, or the model of its first demonstration cannot be compiled.
-            UsageError: there is no such mask.
+            UsageError: there is no such mask, number of an object, or rule of success.
         """
-        self._path = path
+        self._path, self._rule = path, None if success is None else SuccessRule(success)
         with open_hdf5(path) as file:
             names = demonstration_names(file, path)
             self.splits: Mapping[str, Sequence[int]] = masks(file, path, names)
@@ -69,31 +89,37 @@ class RobosuiteFile(Demonstrations):
             self._names = {number: name for number, name in names.items() if wanted is None or number in wanted}
             data = file["data"]
             self._problems = {
-                number: problem for number, name in self._names.items() if (problem := _problem(path, name, data[name]))
+                number: problem for number, name in self._names.items() if (problem := _problem(path, name, data))
             }
             sound = [number for number in self._names if number not in self._problems]
             if not sound:
                 raise StoreError("\n".join(self._problems.values()))
             first = data[self._names[sound[0]]]
             scene = Scene(first.attrs["model_file"], f"{path}: {self._names[sound[0]]}")
-            info = json_attribute(data, "env_info")
-            kind = str(data.attrs.get("env", info.get("env_name", "unknown")))
+            self._objects = own_dimensions(scene.achieved_names, goal_names)
+            if self._rule is not None:
+                self._rule(Signals(), str(path))
+            info, kind = json_attribute(data, "env_info"), data.attrs.get("env")
+            kind = kind.decode() if isinstance(kind, bytes) else kind or info.get("env_name", "unknown")
             width = int(dataset(first, "actions").shape[1])
+            rest = beyond_mask(mask, len(self._names), len(names)) | unread(file, names, ("states", "actions"))
+            self.remarks = grouped({**rest, **self._objects.remarks})
         self.spec = StoreSpec(
             environment={"type": f"robosuite:{kind}", "env_info": info},
             state_names=scene.state_names,
-            achieved_names=scene.achieved_names,
-            action_names=ACTIONS if width == len(ACTIONS) else tuple(f"action.{k}" for k in range(width)),
-            fps=float(fps or info.get("control_freq") or FPS),
+            achieved_names=self._objects.goals(),
+            action_names=action_names(width),
+            fps=frequency(fps, info.get("control_freq"), path, FPS),
         )
-        size = path.stat().st_size
-        self.note = {"format": "robosuite", "source": path.name, "bytes": size, "mask": mask, "fps": fps}
+        settings = {"mask": mask, "fps": fps, "goal_names": goal_names, "success": success}
+        self.note = plain({"format": "robosuite", "source": path.name, "bytes": path.stat().st_size, **settings})
 
     def _episode(self, group: Any, number: int, name: str) -> Episode:
         scene, states = Scene(group.attrs["model_file"], name), np.asarray(dataset(group, "states"), np.float64)
-        if (scene.state_names, scene.achieved_names) != (self.spec.state_names, self.spec.achieved_names):
+        if (scene.state_names, scene.achieved_names) != (self.spec.state_names, self._objects.names):
             raise StoreError(f"{name} is of another scene than the first demonstration: import it separately")
         state, achieved = scene.observe(states, name)
+        success = None if self._rule is None else self._rule(Signals(), name)
         action = np.asarray(dataset(group, "actions")[:-1], np.float32)
         meta = EpisodeMeta(
             environment=self.spec.environment,
@@ -103,11 +129,13 @@ class RobosuiteFile(Demonstrations):
             fps=self.spec.fps,
             seed=number,
             actor="demonstrator",
+            ended=how_ended(success),
+            success=success,
         )
         return Episode(
             meta=meta,
             state=state,
-            achieved=achieved,
+            achieved=achieved[:, list(self._objects.kept)],
             sim_state=states,
             time=np.arange(len(states)) / self.spec.fps,
             action=action,
@@ -126,26 +154,32 @@ class Scene:
             spec = mujoco.MjSpec.from_string(_with_local_files(xml, name))
             spec.compiler.discardvisual = True
             self._model = spec.compile()
-        except (ValueError, ElementTree.ParseError) as error:
+        except (ValueError, TypeError, ElementTree.ParseError) as error:
             raise StoreError(f"{name}: its model cannot be compiled ({error})") from error
         model = self._model
         self._data = mujoco.MjData(model)
-        sites = [k for k in range(model.nsite) if model.site(k).name.endswith("grip_site")]
-        if not sites:
+        self._sites = [k for k in range(model.nsite) if model.site(k).name.endswith("grip_site")]
+        if not self._sites:
             raise StoreError(f"{name}: its model has no end effector (no site `..._grip_site`)")
-        self._site = sites[0]
+        hands = [model.site(k).name.removesuffix("grip_site") for k in self._sites]  # gripper0_right_
         joints = [model.joint(k) for k in range(model.njnt)]
-        self._fingers = [int(joint.qposadr[0]) for joint in joints if joint.name.startswith("gripper")]
+        fingers = [[joint for joint in joints if joint.name.startswith(hand)] for hand in hands]
+        self._fingers = [int(joint.qposadr[0]) for own in fingers for joint in own]
+        robots = {int(model.body_rootid[model.site_bodyid[k]]) for k in self._sites}  # arms, legs and wheels included
         self._object_qpos: list[int] = []
         names: list[str] = []
         for joint in joints:
-            if joint.name.startswith(("gripper", "robot")) or int(joint.type[0]) not in (_FREE, *_SINGLE):
+            owned = joint.name.startswith(("gripper", "robot")) or int(model.body_rootid[joint.bodyid[0]]) in robots
+            if owned or int(joint.type[0]) not in (_FREE, *_SINGLE):
                 continue
             parts = _PLACE if int(joint.type[0]) == _FREE else ("pos",)
             self._object_qpos += range(int(joint.qposadr[0]), int(joint.qposadr[0]) + len(parts))
-            names += [f"{joint.name}.{part}" for part in parts]
-        eef = [f"eef.{part}" for part in (*_PLACE[:3], *_TURN)]
-        self.state_names = (*eef, *(f"gripper.q{k}" for k in range(len(self._fingers))))
+            names += [f"{joint.name or f'joint{joint.id}'}.{part}" for part in parts]
+        numbers = [""] if len(hands) == 1 else [str(k) for k in range(len(hands))]
+        eef = [f"eef{number}.{part}" for number in numbers for part in (*_PLACE[:3], *_TURN)]
+        named = zip(numbers, fingers, strict=True)
+        grippers = [f"gripper{number}.q{k}" for number, own in named for k in range(len(own))]
+        self.state_names = (*eef, *grippers)
         self.achieved_names = tuple(names)
 
     def observe(self, states: Array, name: str) -> tuple[Array, Array]:
@@ -159,8 +193,9 @@ class Scene:
         for qpos in states[:, 1 : 1 + model.nq]:
             data.qpos[:] = qpos
             mujoco.mj_kinematics(model, data)
-            turn = data.site_xmat[self._site].reshape(3, 3)[:, :2].T.ravel()
-            rows.append(np.concatenate([data.site_xpos[self._site], turn, qpos[self._fingers]]))
+            turns = [data.site_xmat[site].reshape(3, 3)[:, :2].T.ravel() for site in self._sites]
+            hands = [np.concatenate([data.site_xpos[k], turn]) for k, turn in zip(self._sites, turns, strict=True)]
+            rows.append(np.concatenate([*hands, qpos[self._fingers]]))
         return np.array(rows, np.float32), states[:, 1 + np.array(self._object_qpos, int)].astype(np.float32)
 
 
@@ -185,17 +220,21 @@ def _with_local_files(xml: str | bytes, name: str) -> str:
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def _problem(path: Path, name: str, group: Any) -> str | None:
+def _problem(path: Path, name: str, data: Any) -> str | None:
     """Why a demonstration cannot be read, judging by shapes; None if it can."""
     where = f"{path}: {name}"
-    if "model_file" not in group.attrs:
-        return f"{where} has no model (`model_file`): is this robomimic's? `playlearn import robomimic` reads that"
     try:
+        group = demonstration(data, name)
+        if "model_file" not in group.attrs:
+            return f"{where} has no model (`model_file`): is this robomimic's? `playlearn import robomimic` reads that"
         states, actions = dataset(group, "states"), dataset(group, "actions")
     except StoreError as error:
         return str(error)
     if actions.ndim != 2 or actions.shape[0] < 2:
         return f"{where} has actions of {actions.shape}, and an episode needs two or more"
+    if states.ndim != 2:
+        return f"{where} has states of {states.shape}, which are not rows of numbers"
     if states.shape[0] != actions.shape[0]:
         return f"{where} has {states.shape[0]} states and {actions.shape[0]} actions"
-    return None
+    odd = next((one for one in (states, actions) if not is_numeric(one)), None)
+    return None if odd is None else f"{where}: {odd.name.rpartition('/')[2]} is of {odd.dtype}, not of numbers"

@@ -131,6 +131,14 @@ class RunExamples:
         self.val = validation_batches(self.config, self.store, functools.partial(Perceived, folder / "0"))
 
 
+def store_remarks(config: TrainConfig, store: Store) -> list[str]:
+    """What of the store is left out or called otherwise, and where goals come from if it records no objects."""
+    settling = config.data.settling
+    robot = settling.source == "robot" or not store.spec.achieved_names
+    goals = [settling.robot.describe(store.spec.state_names)] if robot else []
+    return [*(f"{name}: {remark}" for name, remark in store.remarks().items()), *goals]
+
+
 def validation_batches(
     config: TrainConfig, store: Store, augment: Callable[[PlayDataset], Augmentation] | None = None
 ) -> list[Batch]:

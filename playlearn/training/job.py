@@ -30,7 +30,7 @@ from playlearn.store import Store, open_store
 from playlearn.threads import limit
 from playlearn.training.config import TrainConfig, check_out, flattened, run_folder, stored_threads, training_inputs
 from playlearn.training.divergence import reason
-from playlearn.training.examples import RunExamples
+from playlearn.training.examples import RunExamples, store_remarks
 from playlearn.training.window import Window
 
 
@@ -295,7 +295,9 @@ class _Run:
             raise NotLearnedError(f"{self.out}: {complaint}; the checkpoint and the policy are kept")
 
     def describe(self) -> None:
-        """Save what is run, before it runs."""
+        """Save what is run, before it runs; say what of the store is not read, or is read otherwise than recorded."""
+        for remark in store_remarks(self.config, self.store):
+            print(f"{self.store.name()}: {remark}", file=sys.stderr, flush=True)
         self._metrics.unlink(missing_ok=True)  # of a run that left no checkpoint
         save_config(self.config, self.out / "config.yaml")
         record = {

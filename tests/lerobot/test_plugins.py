@@ -17,6 +17,7 @@ from playlearn.policies import Policy, PolicyConfig, PolicySpec
 from playlearn.policies.execution import PolicyActor
 from playlearn.rollout import rollout
 from tests.fakes import PointConfig, point_expert
+from tests.lerobot_dataset import vector, write_dataset
 from tests.policies.parts import small
 
 if TYPE_CHECKING:
@@ -232,3 +233,30 @@ def test_it_learns_from_lerobots_batches(tmp_path: Path, monkeypatch: pytest.Mon
     mean = store.array(0, "observation.state")
     assert np.abs(policy.policy.normalizer.get_buffer("state_mean").numpy() - mean.mean(axis=0)).max() < 0.2
     assert policy.predict_action_chunk(batch).shape == (8, 4, 4)
+
+
+def test_a_fresh_policy_takes_a_datasets_names_from_any_form(tmp_path: Path) -> None:
+    """A mapping of names to indices in another order, as LeRobot's gamepad writes it, and no names at all."""
+    from types import SimpleNamespace
+
+    from lerobot.configs.types import FeatureType, PolicyFeature
+
+    from playlearn.lerobot.configuration_playlearn import ACHIEVED, GOAL, STATE, PlaylearnConfig
+    from playlearn.lerobot.modeling_playlearn import PlaylearnPolicy
+
+    rows = {STATE: 3, "action": 3, ACHIEVED: 4, GOAL: 2}
+    numbers = {key: np.random.default_rng(0).normal(size=(20, size)).tolist() for key, size in rows.items()}
+    described = {
+        STATE: vector(None, 3),
+        "action": vector({"gripper": 2, "dx": 0, "dy": 1}, 3),
+        ACHIEVED: vector({"axes": ["x", "y", "goal.x", "goal.y"]}, 4),
+        GOAL: vector([["goal.x", "goal.y"]], 2),
+    }
+    root = write_dataset(tmp_path / "made", described, numbers, [20])
+    stats = {key: {name: np.full(size, 0.5) for name in ("mean", "std", "min", "max")} for key, size in rows.items()}
+    meta = SimpleNamespace(root=root, fps=20, features=described, camera_keys=[])
+    config = PlaylearnConfig(input_features={GOAL: PolicyFeature(FeatureType.STATE, (2,))}, device="cpu")
+    spec = PlaylearnPolicy(config, stats, meta).policy.spec
+    assert spec.state_names == ("state.0", "state.1", "state.2")
+    assert spec.action_names == ("dx", "dy", "gripper")
+    assert spec.achieved_names == ("x", "y")

@@ -2,15 +2,17 @@
 
 import numpy as np
 
+from playlearn.episode import read_annotation
 from playlearn.relabeling import leads_to_failure
 
 NAMES = ("push", "push:mistake", "push:open_loop:slip", "open:gave_up", "open", "open:again", "push:pause")
+ANNOTATIONS = [read_annotation(name) for name in NAMES]
 
 
 def failing(*pieces: tuple[int, str]) -> str:
     """A letter a step: x leads to a failure, - does not."""
     skill = np.concatenate([np.full(count, NAMES.index(name)) for count, name in pieces])
-    return "".join("x" if step else "-" for step in leads_to_failure(skill, NAMES))
+    return "".join("x" if step else "-" for step in leads_to_failure(skill, ANNOTATIONS))
 
 
 def test_steps_fail_up_to_the_failure_and_recover_after_it() -> None:
@@ -28,4 +30,4 @@ def test_a_failure_is_its_own_attempts_alone() -> None:
 
 
 def test_play_without_annotation_does_not_fail() -> None:
-    assert not leads_to_failure(np.zeros(5, np.int16), ()).any()
+    assert not leads_to_failure(np.zeros(5, np.int16), [("", ())]).any()

@@ -77,10 +77,23 @@ def test_patterns_say_which_numbers_are_what() -> None:
     names = ("shoulder.pos", "elbow.pos", "wrist.pos", "lift.pos", "gripper.pos")
     assert RobotConfig().columns(names) == ([4], [0, 1, 2, 3])
     assert RobotConfig(gripper=("wrist*",), arm=("elbow*",)).columns(names) == ([2], [1])
+    assert RobotConfig().columns(("Joint", "Gripper.Pos")) == ([1], [0])  # upper case like lower
+
     assert found(CARRIED, names) == found(CARRIED)
     # A gripper of the joints' part name, and of a hundred times their size, does not raise the joints' thresholds.
     wide = CARRIED * np.array([1, 1, 1, 1, 1000], np.float32)
     assert found(wide, names) == found(CARRIED)
+
+
+def test_what_is_read_from_the_robot_is_said() -> None:
+    assert "the gripper (gripper) has opened or, closed, the arm (x, y) stops" in RobotConfig().describe(
+        ("x", "y", "gripper")
+    )
+    two = RobotConfig().describe(("x", "left_gripper", "right_gripper"))
+    assert "the gripper (left_gripper)" in two
+    assert "not by right_gripper, which `data.settling.robot.gripper` can name instead" in two
+    none = RobotConfig().describe(("state.0", "state.1"))
+    assert none.startswith("no gripper (*gripper*): every stop of the arm (state.0, state.1) counts")
 
 
 def test_noise_of_half_a_millimeter_moves_no_moment_by_half_a_second() -> None:

@@ -64,8 +64,8 @@ def test_an_attempt_is_a_skill_from_its_first_step_to_its_last(tmp_path: Path) -
         SkillAttempt(0, 6, 7, "place", frozenset(), truncated=True),
     ]
     play = figures(stored(tmp_path / "again", episode(annotations)))
-    assert play["attempts"] == {"count": 4, "succeeded": 2, "failed": 1, "truncated": 1}
-    assert play["mishaps"]["mistake"] == {"count": 1, "succeeded": 1, "failed": 0, "truncated": 0}
+    assert play["attempts"] == {"count": 4, "succeeded": 2, "failed": 1, "truncated": 1, "unknown": 0}
+    assert play["mishaps"]["mistake"] == {"count": 1, "succeeded": 1, "failed": 0, "truncated": 0, "unknown": 0}
     assert play["skills"]["place"]["marks"]["open_loop"] == 1
     assert play["store"]["skills"] == {"lift": 1, "place": 1}, "`playlearn info` names skills, not marks"
     assert play["skills"]["place"]["seconds"]["high"] == pytest.approx(0.2), "two steps at 10 Hz"

@@ -15,6 +15,7 @@ from PIL import Image
 
 from playlearn import cli
 from playlearn.errors import RenderError, UsageError
+from playlearn.report.lerobot_card import CardFacts, lerobot_card
 from playlearn.report.play import SkillAttempt, figures
 from playlearn.report.store_page import HEIGHT, WIDTH, heat_map, outline
 from playlearn.report.store_report import write_report
@@ -120,6 +121,13 @@ def test_the_card_is_one_that_the_hub_reads(written: Path, store: NativeStore) -
     for key, array in store.read(0).arrays().items():
         assert f"| `{key}` |" in body
         assert str(array.dtype) in body
+
+
+def test_a_card_of_rewards_needs_no_names(store: NativeStore) -> None:
+    features = {"next.reward": {"dtype": "float32", "shape": (1,), "names": None}}
+    card = lerobot_card(store, features, {}, CardFacts("play", 2, goals=False, has_picture=False))
+    assert "| `next.reward` | (1) | float32 | as it was recorded |" in card
+    assert "- `next.reward`" not in card
 
 
 def test_a_sheet_is_small_and_shows_the_stripes(written: Path) -> None:

@@ -116,9 +116,12 @@ def test_skills_can_be_exported_as_subtasks(store: NativeStore, cache: Path, tmp
         assert {row["style"] for row in begun} == {"subtask"}
 
 
-def test_success_is_exported_if_every_episode_has_a_task(tmp_path: Path) -> None:
+def test_success_and_rewards_are_exported_if_known_of_every_episode(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
-    tried = [make_episode(rng, 5, task="open the drawer", ended=ended) for ended in ("stopped", "length")]
+    tried = [
+        make_episode(rng, 5, task="open the drawer", success=success, reward=np.arange(5.0) - 2)
+        for success in (True, False)
+    ]
     tried[0].intervention.flags.writeable = True
     tried[0].intervention[2] = True
     content = Play(_stored(tmp_path / "tried", tried))
@@ -126,9 +129,10 @@ def test_success_is_exported_if_every_episode_has_a_task(tmp_path: Path) -> None
     assert [set(entry.tasks) for entry in entries] == [{"open the drawer"}] * 2
     assert [entry.columns["next.success"][:, 0].tolist() for entry in entries] == [[False] * 4 + [True], [False] * 5]
     assert entries[0].columns["intervention"][:, 0].tolist() == [False, False, True, False, False]
+    assert entries[0].columns["next.reward"][:, 0].tolist() == [-2, -1, 0, 1, 2]
     content = Play(_stored(tmp_path / "played", [tried[0], make_episode(rng, 5)]))
     assert set(content.entry(1).tasks) <= set(SKILLS)
-    assert "next.success" not in content.features() | content.entry(0).columns
+    assert not {"next.success", "next.reward"} & (content.features() | content.entry(0).columns).keys()
 
 
 def test_what_cannot_be_exported_is_refused(store: NativeStore, exported: Path, tmp_path: Path) -> None:

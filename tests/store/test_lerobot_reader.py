@@ -27,6 +27,7 @@ from tests.synthetic import make_store
 pytestmark = pytest.mark.filterwarnings("ignore")  # what LeRobot and the packages below it warn of is theirs to fix
 CAMERAS = {"front": (16, 24), "wrist": (16, 16)}
 STEPS, FPS = 30, 20
+FRONT = "observation.images.front"
 
 
 @pytest.fixture(scope="module")
@@ -291,6 +292,18 @@ def test_an_incomplete_video_is_named(without_sidecars: Path) -> None:
     cut(videos[0])
     with pytest.raises(StoreError, match=r"\.mp4 is cut short at .* bytes: fetch it again \(episodes 0 to 2"):
         opened(without_sidecars)
+
+
+def test_a_video_of_another_size_than_stated_is_named(without_sidecars: Path) -> None:
+    if not any(without_sidecars.glob("videos/*/*/*.mp4")):
+        pytest.skip("no videos")
+    features = json.loads((without_sidecars / "meta" / "info.json").read_text())["features"]
+    info(without_sidecars, features=features | {FRONT: {**features[FRONT], "shape": [32, 24, 3]}})
+    with pytest.raises(
+        StoreError, match=rf"000.mp4: {FRONT} is 16x24, where meta/info.json says 32x24: set `image_size`"
+    ):
+        opened(without_sidecars)
+    assert opened(without_sidecars, image_size=(8, 12)).cameras()["front"] == (8, 12)
 
 
 def test_a_missing_feature_is_named_with_those_that_exist(without_sidecars: Path) -> None:

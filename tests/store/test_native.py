@@ -209,6 +209,13 @@ def test_a_nan_never_becomes_an_episode(rng: np.random.Generator) -> None:
         dataclasses.replace(episode, action=action)
 
 
+def test_two_dimensions_of_one_name_never_become_an_episode(rng: np.random.Generator) -> None:
+    episode = make_episode(rng, 10)
+    names = dataclasses.replace(episode.meta, state_names=("eef.x", "eef.y", "eef.x", "gripper.opening"))
+    with pytest.raises(EpisodeError, match=r"state_names has 'eef.x' twice"):
+        dataclasses.replace(episode, meta=names)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

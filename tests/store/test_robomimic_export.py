@@ -28,9 +28,8 @@ MASKS = {"train": [1, 10], "valid": [2]}
 @pytest.fixture
 def store(tmp_path: Path) -> NativeStore:
     """Episodes 1, 2 and 10: the first succeeded at its task, the second did not, the third is play."""
-    rng = np.random.default_rng(0)
-    ends = {1: ("lift", "stopped"), 2: ("lift", "length"), 10: ("", "stopped")}
-    made = {n: make_episode(rng, 20 + n, CAMERAS, seed=n, task=task, ended=end) for n, (task, end) in ends.items()}
+    rng, succeeded = np.random.default_rng(0), {1: True, 2: False, 10: None}
+    made = {n: make_episode(rng, 20 + n, CAMERAS, seed=n, success=success) for n, success in succeeded.items()}
     store = NativeStore.create(tmp_path / "play", StoreSpec.of(made[1]))
     with store.writer() as writer:
         for number, episode in made.items():
@@ -43,7 +42,9 @@ def test_an_export_reads_back_without_the_last_step(store: NativeStore, tmp_path
     back = import_recordings(RobomimicFile(tmp_path / "a.hdf5"), tmp_path / "back")
     assert back.indices().tolist() == [1, 2, 10]  # the numbers they were recorded under, in numeric order
     assert back.spec.fps == 20
-    assert [back.meta(i).ended for i in range(3)] == ["success", "length", "length"]
+    assert [back.meta(i).success for i in range(3)] == [True, False, None]
+    assert (back.spec.state_names, back.spec.achieved_names) == (store.spec.state_names, store.spec.achieved_names)
+    assert back.spec.action_names == store.spec.action_names
     for i in range(3):
         mine, its = store.read(i), back.read(i)
         assert len(its) == len(mine) - 1  # the importer reads `obs`, in which the last observation is not
@@ -55,6 +56,7 @@ def test_an_export_reads_back_without_the_last_step(store: NativeStore, tmp_path
         np.testing.assert_array_equal(demo["next_obs/object"][-1], mine.achieved[-1])  # here it is
         np.testing.assert_array_equal(demo["next_obs/front_image"], mine.images["front"][1:])
         assert (demo.attrs["num_samples"], demo["dones"][()].tolist()) == (30, [0] * 29 + [1])
+        assert [file[f"data/demo_{n}/rewards"][-1] for n in (1, 2, 10)] == [1, 0, 0]
         description = json.loads(file["data"].attrs["env_args"])["playlearn"]
     assert description["environment"] == {"type": "synthetic", "objects": 3}
     assert description["names"]["action"] == ["dx", "dy", "dz", "gripper"]

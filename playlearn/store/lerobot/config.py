@@ -20,12 +20,17 @@ class LeRobotStoreConfig(StoreConfig):
     repo_id: name of the dataset on the Hub; LeRobot's own folders are searched first.
     revision: of the dataset on the Hub (null: the tag of the format's version).
     state: feature of the robot's proprioception.
-    achieved: feature of the objects; settled moments are read from the robot if the dataset has no such feature.
+    achieved: feature of the objects; settled moments are read from the robot if the dataset has no such feature, or if
+        this is "".
+    goal_names: shell-style patterns of its dimensions that goals are about (null: all that do not change with the hand
+        while nothing else does).
     action: feature of the commanded actions.
     image_size: (height, width) that every camera is scaled to (null: its own size).
     cache: folder of the decoded frames (null: the user's cache folder).
     without_images: read the numbers only.
     skip_broken: leave out the episodes that cannot be read.
+    success: which episodes succeeded, a rule such as `all`, `none`, `dones`, `reward>=1` or `last_reward>=0` (null: as
+        `next.success` says, else unknown).
     """
 
     root: Path | None = None
@@ -33,11 +38,13 @@ class LeRobotStoreConfig(StoreConfig):
     revision: str | None = None
     state: str = "observation.state"
     achieved: str = "observation.environment_state"
+    goal_names: tuple[str, ...] | None = None
     action: str = "action"
     image_size: tuple[int, int] | None = None
     cache: Path | None = None
     without_images: bool = False
     skip_broken: bool = False
+    success: str | None = None
 
     def __post_init__(self) -> None:
         """Raises UsageError where no dataset is named, or two are."""
@@ -62,9 +69,11 @@ class LeRobotStoreConfig(StoreConfig):
             root,
             state=self.state,
             achieved=self.achieved,
+            goal_names=self.goal_names,
             action=self.action,
             image_size=self.image_size,
             cache=self.cache,
             without_images=self.without_images,
             skip_broken=self.skip_broken,
+            success=self.success,
         )

@@ -4,8 +4,10 @@
     observation.environment_state   (G,)        achieved: objects and fixtures
     action                          (A,)        the label, `expert_action`
     intervention                    (1,) bool   an expert took over (LeRobot's own name for it)
-    next.success                    (1,) bool   only where every episode had a task, so that success is known
-    task                            text        the episode's task; for play, the skill at that step
+    next.success                    (1,) bool   only where it is known of every episode
+    next.reward                     (1,)        only where every episode has recorded rewards
+    task                            text        the episode's task; for play, the skill at that step; the recorder's
+                                                own words unchanged
 
 Skills can stand as LeRobot's subtask annotation instead, `language_persistent`; the task of play is then "play". That
 is optional: LeRobot's own viewer (0.6.1) and PyTorch's default collate cannot take such a column.
@@ -21,13 +23,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from playlearn.episode import IMAGES, Array, Episode, read_annotation
+from playlearn.episode import IMAGES, Array, Episode
 from playlearn.store.base import Store, StoreSpec
 
 PLAY = "play"  # task of a step that has neither a task nor a skill
-SUCCEEDED = "stopped"  # how an episode ends that achieved its task
 STATE, ACHIEVED, ACTION = "observation.state", "observation.environment_state", "action"
-INTERVENTION, SUCCESS = "intervention", "next.success"
+INTERVENTION, SUCCESS, NEXT_REWARD = "intervention", "next.success", "next.reward"
 
 type Features = dict[str, dict[str, Any]]
 
@@ -74,15 +75,19 @@ class Play:
 
     store: the play.
     annotated: write skills as subtasks.
-    has_success: whether every episode has a task, so that success is known.
+    has_success: whether success is known of every episode.
+    has_reward: whether every episode has recorded rewards.
     """
 
     store: Store
     annotated: bool = False
     has_success: bool = field(init=False)
+    has_reward: bool = field(init=False)
 
     def __post_init__(self) -> None:
-        self.has_success = len(self.store) > 0 and all(self.store.meta(i).task for i in range(len(self.store)))
+        every = range(len(self.store))
+        self.has_success = bool(every) and all(self.store.meta(i).success is not None for i in every)
+        self.has_reward = bool(every) and all(self.store.rewards(i) is not None for i in every)
 
     def __len__(self) -> int:
         return len(self.store)
@@ -91,17 +96,19 @@ class Play:
         spec = self.store.spec
         made = vectors({STATE: spec.state_names, ACHIEVED: spec.achieved_names, ACTION: spec.action_names})
         made |= flags(INTERVENTION, *([SUCCESS] if self.has_success else []))
+        made |= {NEXT_REWARD: {"dtype": "float32", "shape": (1,), "names": None}} if self.has_reward else {}
         return made | image_features(self.store.cameras())
 
     def entry(self, i: int) -> Entry:
         episode = self.store.read(i)
         success = np.zeros((len(episode), 1), np.bool_)
-        success[-1] = episode.meta.ended == SUCCEEDED
+        success[-1] = episode.meta.success
         columns = steps(episode, 0, len(episode)) | ({SUCCESS: success} if self.has_success else {})
+        if self.has_reward and episode.reward is not None:
+            columns[NEXT_REWARD] = episode.reward[:, None].astype(np.float32)
         sidecar = int(self.store.indices()[i]), episode
         annotation = subtasks(episode, 0, len(episode)) if self.annotated else ()
-        skills = [PLAY] * len(episode) if self.annotated else skill_names(episode)
-        return Entry(columns, tuple(episode.meta.task or skill or PLAY for skill in skills), annotation, sidecar)
+        return Entry(columns, tasks(episode, annotated=self.annotated), annotation, sidecar)
 
 
 def steps(episode: Episode, begin: int, end: int) -> dict[str, Array]:
@@ -125,9 +132,22 @@ def subtasks(episode: Episode, begin: int, end: int) -> tuple[tuple[int, str], .
     return tuple(found)
 
 
+def tasks(episode: Episode, *, annotated: bool) -> tuple[str, ...]:
+    """(T,) the task at each step.
+
+    annotated: whether skills stand elsewhere. The recorder's own words are tasks all the same.
+    """
+    meta = episode.meta
+    if meta.verbatim:
+        return tuple(skill_names(episode)) if meta.skills else (meta.task,) * len(episode)
+    skills = [PLAY] * len(episode) if annotated else skill_names(episode)
+    return tuple(meta.task or skill or PLAY for skill in skills)
+
+
 def skill_names(episode: Episode) -> list[str]:
-    """(T,) the skill at each step, "" for none."""
-    names = [read_annotation(text)[0].replace("_", " ") for text in episode.meta.skills] or [""]
+    """(T,) the skill at each step, "" for none: our own as words, the recorder's as they are."""
+    found = [name for name, _ in episode.meta.annotations()]
+    names = found if episode.meta.verbatim else [name.replace("_", " ") for name in found]
     return [names[skill] for skill in episode.skill]
 
 

@@ -10,20 +10,21 @@ import av
 import numpy as np
 import pyarrow.parquet as pq
 from av.error import FFmpegError
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from playlearn.episode import Array
 from playlearn.errors import StoreError
-from playlearn.store.lerobot.metadata import UNREADABLE, Camera, Clip, DatasetMetadata, Row, first_line
+from playlearn.store.lerobot.features import Camera, Size
+from playlearn.store.lerobot.metadata import INFO, UNREADABLE, Clip, DatasetMetadata, Row, first_line
 
-Size = tuple[int, int]
+MODES = ("RGB", "RGBA", "L", "LA", "P")  # of Pillow: 8 bits a color
 
 
 def decode_episode(metadata: DatasetMetadata, row: Row, sizes: Mapping[str, Size]) -> dict[str, Array]:
     """Camera -> (length, h, w, 3) uint8 of one episode, scaled to `sizes`.
 
     Raises:
-        StoreError: a file is missing or broken, or ends before the episode does.
+        StoreError: a file is missing or broken, or ends before the episode does; an image is not of the stated size.
     """
     videos = {name: metadata.cameras[name] for name in sizes if metadata.cameras[name].video}
     stored_images = {name: metadata.cameras[name] for name in sizes if name not in videos}
@@ -36,15 +37,25 @@ def resized(picture: Array, size: Size) -> Array:
     return picture if picture.shape[:2] == size else np.asarray(Image.fromarray(picture).resize(size[::-1]))
 
 
-def video_seconds(path: Path) -> float:
-    """Length of a video in seconds; raises StoreError if it is not a video, or is cut short."""
+def check_size(camera: Camera, found: Size, size: Size, where: Path | str) -> None:
+    """Raise StoreError where an image is not of the camera's own size, unless every image is scaled to another one."""
+    if found != camera.size == size:
+        raise StoreError(
+            f"{where}: {camera.key} is {found[0]}x{found[1]}, where {INFO} says {size[0]}x{size[1]}: set "
+            "`image_size` to scale every image to one size"
+        )
+
+
+def probe_video(path: Path) -> tuple[float, Size]:
+    """Length of a video in seconds, and (height, width); raises StoreError if it is not a video, or is cut short."""
     try:
         _check_end(path)
         with closing(av.open(str(path))) as container:
             stream = container.streams.video[0]
+            size = stream.codec_context.height, stream.codec_context.width
             if stream.duration is None or stream.time_base is None:
-                return float(Fraction(container.duration or 0, av.time_base))
-            return float(stream.duration * stream.time_base)
+                return float(Fraction(container.duration or 0, av.time_base)), size
+            return float(stream.duration * stream.time_base), size
     except (*UNREADABLE, FFmpegError) as error:
         raise StoreError(f"{path} cannot be read ({first_line(error)}): fetch it again") from error
 
@@ -100,15 +111,28 @@ def _decode_images(root: Path, row: Row, cameras: Mapping[str, Camera], sizes: M
     try:
         with pq.ParquetFile(path) as file:
             for name, camera in cameras.items():
-                for at, encoded in enumerate(_cells(file, row, camera.key)):
-                    with Image.open(io.BytesIO(encoded["bytes"])) as picture:
-                        made[name][at] = resized(np.asarray(picture.convert("RGB")), sizes[name])
+                for at, cell in enumerate(_cells(file, row, camera.key)):
+                    where = f"{path}: episode {row.index}, frame {at}"
+                    made[name][at] = _decode_image(cell, camera, sizes[name], where)
     except UNREADABLE as error:
-        raise StoreError(f"{path}: the images of episode {row.index} cannot be read ({first_line(error)})") from error
+        keys = ", ".join(camera.key for camera in cameras.values())
+        raise StoreError(f"{path}: {keys} of episode {row.index} cannot be read ({first_line(error)})") from error
     return made
 
 
-def _cells(file: pq.ParquetFile, row: Row, key: str) -> Iterator[Mapping[str, bytes]]:
+def _decode_image(cell: Mapping[str, bytes | None], camera: Camera, size: Size, where: str) -> Array:
+    """One frame (h, w, 3) uint8; raises StoreError where it is no color image."""
+    try:
+        with Image.open(io.BytesIO(cell["bytes"] or b"")) as picture:
+            if picture.mode not in MODES:
+                raise StoreError(f"{where}: {camera.key} is an image of mode {picture.mode}, and color images are read")
+            check_size(camera, picture.size[::-1], size, where)
+            return resized(np.asarray(picture.convert("RGB")), size)
+    except UnidentifiedImageError as error:
+        raise StoreError(f"{where}: {camera.key} holds no image: fetch it again") from error
+
+
+def _cells(file: pq.ParquetFile, row: Row, key: str) -> Iterator[Mapping[str, bytes | None]]:
     """The episode's cells of one column: LeRobot writes a row group an episode, others may not."""
     for group in range(file.num_row_groups):
         owners = _owners(file, group)

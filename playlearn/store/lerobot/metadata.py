@@ -1,7 +1,9 @@
 """The metadata of a LeRobot v3.0 dataset, read without trust: no path leaves its folder, nothing is unpickled."""
 
 import json
+import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from string import Formatter
@@ -10,8 +12,9 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from playlearn.episode import IMAGES
 from playlearn.errors import MissingStoreError, StoreError
+from playlearn.store.lerobot.features import Camera, check_features, read_cameras, vector_size
+from playlearn.store.lerobot.names import read_names
 
 INFO = "meta/info.json"
 TASKS = "meta/tasks.parquet"
@@ -20,20 +23,6 @@ DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 PICKLES = (".pkl", ".pickle", ".pt", ".pth", ".joblib")
 UNREADABLE = (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, pa.ArrowException)
-
-
-@dataclass(frozen=True)
-class Camera:
-    """A camera of the dataset.
-
-    key: name of the feature.
-    size: (height, width).
-    video: frames are in a video file, not in the parquet file.
-    """
-
-    key: str
-    size: tuple[int, int]
-    video: bool
 
 
 @dataclass(frozen=True)
@@ -72,10 +61,11 @@ class DatasetMetadata:
     robot: LeRobot's `robot_type`.
     features: name -> description, as in `info.json`.
     cameras: name -> Camera, color images only.
+    remarks: camera feature -> why it is left out, or not under its short name.
     episodes: total that `info.json` states.
     frames: total that `info.json` states.
     rows: the episodes that the metadata lists.
-    tasks: name of each task index.
+    tasks: task index -> its text.
     """
 
     root: Path
@@ -83,21 +73,25 @@ class DatasetMetadata:
     robot: str
     features: Mapping[str, Any]
     cameras: Mapping[str, Camera]
+    remarks: Mapping[str, str]
     episodes: int
     frames: int
     rows: tuple[Row, ...]
-    tasks: tuple[str, ...]
+    tasks: Mapping[int, str]
 
     def names(self, key: str) -> tuple[str, ...]:
-        """Name of each dimension of a feature; () if there is no such feature."""
+        """Name of each dimension of a vector, all different; () if there is no such feature."""
+        return self._named(key)[0]
+
+    def renamed(self, key: str) -> str:
+        """Why the names of a vector are not the recorded ones; "" if they are."""
+        return self._named(key)[1]
+
+    def _named(self, key: str) -> tuple[tuple[str, ...], str]:
         if key not in self.features:
-            return ()
-        size = int(self.features[key]["shape"][0])
-        names = self.features[key].get("names")
-        while isinstance(names, dict):  # {"motors": [...]}, as early recordings have it
-            names = [name for part in names.values() for name in (part if isinstance(part, list) else [part])]
-        part = key.removeprefix("observation.")
-        return tuple(map(str, names)) if names and len(names) == size else tuple(f"{part}.{i}" for i in range(size))
+            return (), ""
+        feature = self.features[key]
+        return read_names(key, feature.get("names"), vector_size(key, feature))
 
 
 def is_lerobot(root: Path) -> bool:
@@ -117,28 +111,33 @@ def load_metadata(root: Path) -> DatasetMetadata:
     for path in root.rglob("*"):
         if path.suffix in PICKLES:
             raise StoreError(f"{path} is a pickle, which can run code when it is read: remove it, no dataset needs one")
+    path = root / INFO
     try:
-        info = json.loads((root / INFO).read_text(encoding="utf-8"))
+        info = json.loads(path.read_text(encoding="utf-8"))
         version = str(info["codebase_version"]).lstrip("v")
         if not version.startswith("3."):
             raise StoreError(_other_version(root, version))
-        features = dict(info["features"])
-        metadata = DatasetMetadata(
-            root=root,
-            fps=float(info["fps"]),
-            robot=str(info.get("robot_type") or "unknown"),
-            features=features,
-            cameras=_cameras(features),
-            episodes=int(info["total_episodes"]),
-            frames=int(info["total_frames"]),
-            rows=_rows(root, info, _cameras(features)),
-            tasks=_tasks(root) if info.get("total_tasks") else (),
-        )
+        features = check_features(path, info["features"])
+        fps, episodes, frames = float(info["fps"]), int(info["total_episodes"]), int(info["total_frames"])
+        data = _template(info.get("data_path") or DATA_PATH, {"chunk_index", "file_index"})
+        video = _template(info.get("video_path") or VIDEO_PATH, {"chunk_index", "file_index", "video_key"})
     except UNREADABLE as error:
-        raise StoreError(f"{root / INFO} cannot be read ({first_line(error)}): fetch it again") from error
-    if not metadata.fps > 0:
-        raise StoreError(f"{root / INFO}: fps must be above 0, not {metadata.fps:g}")
-    return metadata
+        raise StoreError(f"{path} cannot be read ({first_line(error)}): fetch it again") from error
+    if not 0 < fps < math.inf:
+        raise StoreError(f"{path}: fps must be above 0, not {fps:g}")
+    cameras, remarks = read_cameras(features)
+    return DatasetMetadata(
+        root=root,
+        fps=fps,
+        robot=str(info.get("robot_type") or "unknown"),
+        features=features,
+        cameras=cameras,
+        remarks=remarks,
+        episodes=episodes,
+        frames=frames,
+        rows=_rows(root, data, video, {name: camera.key for name, camera in cameras.items() if camera.video}),
+        tasks=_tasks(root) if info.get("total_tasks") or (root / TASKS).is_file() else {},
+    )
 
 
 def read_parquet(path: Path, columns: list[str] | None = None) -> pa.Table:
@@ -152,37 +151,52 @@ def read_parquet(path: Path, columns: list[str] | None = None) -> pa.Table:
     try:
         with pq.ParquetFile(path) as file:
             there = file.schema_arrow.names
+            twice = [name for name in columns or there if there.count(name) > 1]
+            if twice:
+                raise ValueError(f"it has two columns {twice[0]!r}")
             return file.read(columns=None if columns is None else [name for name in columns if name in there])
     except UNREADABLE as error:
         raise StoreError(f"{path} cannot be read ({first_line(error)}): fetch it again") from error
 
 
-def _rows(root: Path, info: Mapping[str, Any], cameras: Mapping[str, Camera]) -> tuple[Row, ...]:
-    videos = {name: camera.key for name, camera in cameras.items() if camera.video}
+def column_types(path: Path) -> dict[str, pa.DataType]:
+    """The columns of a table; none where it cannot be read, which `read_parquet` says."""
+    with suppress(*UNREADABLE):
+        schema = pq.read_schema(path)
+        return dict(zip(schema.names, schema.types, strict=True))
+    return {}
+
+
+def _rows(root: Path, data: str, video: str, videos: Mapping[str, str]) -> tuple[Row, ...]:
+    """data, video: templates of the files' paths; videos: camera -> its feature."""
     wanted = ["episode_index", "length", "dataset_from_index", "data/chunk_index", "data/file_index"]
     places = ("chunk_index", "file_index", "from_timestamp", "to_timestamp")
     wanted += [f"videos/{key}/{place}" for key in videos.values() for place in places]
-    data = _template(info.get("data_path") or DATA_PATH, {"chunk_index", "file_index"})
-    video = _template(info.get("video_path") or VIDEO_PATH, {"chunk_index", "file_index", "video_key"})
-    rows = []
+    rows: list[Row] = []
     for path in sorted((root / EPISODES).glob("*/*.parquet")):
         table = read_parquet(path, wanted)
         missing = [name for name in wanted if name not in table.column_names]
         if missing:
             raise StoreError(f"{path} has no {', '.join(missing)}: fetch it again")
-        for row in table.to_pylist():
-            clips = {
-                name: Clip(
-                    _inside(video, video_key=key, **_file(row, f"videos/{key}/")),
-                    float(row[f"videos/{key}/from_timestamp"]),
-                    float(row[f"videos/{key}/to_timestamp"]),
-                )
-                for name, key in videos.items()
-                if row[f"videos/{key}/chunk_index"] is not None
-            }
-            place = _inside(data, **_file(row, "data/"))
-            rows.append(Row(row["episode_index"], row["length"], row["dataset_from_index"], place, clips))
+        try:
+            rows += [_row(row, data, video, videos) for row in table.to_pylist()]
+        except UNREADABLE as error:
+            raise StoreError(f"{path} cannot be read ({first_line(error)}): fetch it again") from error
     return tuple(sorted(rows, key=lambda row: row.index))
+
+
+def _row(row: Mapping[str, Any], data: str, video: str, videos: Mapping[str, str]) -> Row:
+    clips = {
+        name: Clip(
+            _inside(video, video_key=key, **_file(row, f"videos/{key}/")),
+            float(row[f"videos/{key}/from_timestamp"]),
+            float(row[f"videos/{key}/to_timestamp"]),
+        )
+        for name, key in videos.items()
+        if row[f"videos/{key}/chunk_index"] is not None
+    }
+    place = _inside(data, **_file(row, "data/"))
+    return Row(int(row["episode_index"]), int(row["length"]), int(row["dataset_from_index"]), place, clips)
 
 
 def _file(row: Mapping[str, Any], prefix: str) -> dict[str, int]:
@@ -205,33 +219,30 @@ def _inside(template: str, **values: Any) -> str:
     return str(path)
 
 
-def _cameras(features: Mapping[str, Any]) -> dict[str, Camera]:
-    """Color cameras; depth maps have one channel and are left out."""
-    cameras = {}
-    for key, feature in features.items():
-        if feature["dtype"] in ("image", "video") and len(feature["shape"]) == 3 and 3 in feature["shape"]:
-            first, second, third = (int(size) for size in feature["shape"])
-            size = (first, second) if third == 3 else (second, third)  # (h, w, c), seldom (c, h, w)
-            name = key.removeprefix(IMAGES).removeprefix("observation.")
-            cameras[name] = Camera(key, size, feature["dtype"] == "video")
-    return cameras
-
-
-def _tasks(root: Path) -> tuple[str, ...]:
-    table = read_parquet(root / TASKS)
-    column = next(name for name in table.column_names if name != "task_index")  # pandas calls an index what it likes
-    found = dict(zip(table["task_index"].to_pylist(), table[column].to_pylist(), strict=True))
-    return tuple(str(found.get(i, "")) for i in range(max(found, default=-1) + 1))
+def _tasks(root: Path) -> dict[int, str]:
+    """Task index -> its text; raises StoreError where the table is missing, or holds something else."""
+    table, path = read_parquet(root / TASKS), root / TASKS
+    # The text is the table's index for pandas, which calls it what it likes.
+    texts = [name for name in table.column_names if str(table[name].type) in ("string", "large_string")]
+    column = next((name for name in ("task", "__index_level_0__", *texts) if name in texts), None)
+    if column is None or "task_index" not in table.column_names:
+        raise StoreError(f"{path} has the columns {', '.join(table.column_names)}, not task_index and the task's text")
+    rows = list(zip(table["task_index"].to_pylist(), table[column].to_pylist(), strict=True))
+    found = {index: text for index, text in rows if index is not None and text is not None}
+    if len(found) < len({row for row in rows if None not in row}):
+        raise StoreError(f"{path} has two texts for one task_index: fetch it again")
+    return found
 
 
 def _other_version(root: Path, version: str) -> str:
-    if version.startswith("2."):
-        return (
-            f"{root} is a LeRobot dataset of version {version}; version 3.0 is read here. Convert a copy of it: "
-            f"`python -m lerobot.scripts.convert_dataset_v21_to_v30 --repo-id=local/{root.name} --root={root} "
-            "--push-to-hub=false`"
-        )
-    return f"{root} is a LeRobot dataset of version {version}; version 3.0 is read here: update playlearn"
+    found = f"{root} is a LeRobot dataset of version {version}; version 3.0 is read here"
+    if not version.startswith(("1.", "2.")):
+        return f"{found}: update playlearn"
+    before = "" if version.startswith("2.1") else "Make it 2.1 with the converters of a LeRobot before 0.4, then c"
+    return (
+        f"{found}. {before or 'C'}onvert a copy of it: `python -m lerobot.scripts.convert_dataset_v21_to_v30 "
+        f"--repo-id=local/{root.name} --root={root} --push-to-hub=false`"
+    )
 
 
 def first_line(error: BaseException) -> str:

@@ -1,6 +1,7 @@
 """A LeRobot v3.0 dataset as a store of play, without conversion.
 
-Opening reads the numbers into memory and reports everything that is missing or broken. A video is decoded once, an
+Opening reads the numbers into memory and reports everything that is missing or broken; what is whole and left out all
+the same is in `remarks`. A video is decoded once, an
 episode at a time when its images are first read, into a file that is memory-mapped from then on. The file is written
 whole or not at all, so that a killed run goes on where it was.
 
@@ -20,16 +21,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from playlearn.config import digest, make_folder
-from playlearn.episode import IMAGES, STORED, Array, Episode, EpisodeMeta
-from playlearn.errors import DiskError, EpisodeError, StoreError
+from playlearn.episode import IMAGES, REWARD, STORED, Array, Episode, EpisodeMeta
+from playlearn.errors import DiskError, EpisodeError, StoreError, UsageError
 from playlearn.store.base import StoreSpec, spec_digest, summary
 from playlearn.store.lerobot import check, sidecar
-from playlearn.store.lerobot.frames import Size, decode_episode, resized
+from playlearn.store.lerobot.content import NEXT_REWARD, SUCCESS
+from playlearn.store.lerobot.features import Size
+from playlearn.store.lerobot.frames import decode_episode, resized
 from playlearn.store.lerobot.metadata import DatasetMetadata, Row, load_metadata
+from playlearn.store.lerobot.parts import OUTCOMES, VECTORS, left_out, read_features
+from playlearn.store.lerobot.subtasks import EVENTS, PERSISTENT
 from playlearn.store.mmap_cache import MmapCache
+from playlearn.store.object_dimensions import ObjectDimensions, choose_dimensions, own_dimensions
+from playlearn.store.success import Signals, SuccessRule, how_ended
 from playlearn.store.tensors import map_tensors, read_header, write_tensors
 
 UNKNOWN = -1  # of the seed
+# What an export writes for others, and reads from its sidecars.
+KEPT_IN_SIDECARS = (SUCCESS, NEXT_REWARD, PERSISTENT, EVENTS)
 
 
 class LeRobotStore:
@@ -46,6 +55,8 @@ class LeRobotStore:
         cache: Path | None = None,
         without_images: bool = False,
         skip_broken: bool = False,
+        goal_names: tuple[str, ...] | None = None,
+        success: str | None = None,
     ) -> None:
         """root: folder of the dataset; the others are the fields of `LeRobotStoreConfig`.
 
@@ -59,16 +70,19 @@ class LeRobotStore:
         }
         self._has_sidecars = bool(self._sidecars)
         cameras = {} if without_images else metadata.cameras
-        keys = _features(metadata, state, achieved, action)
+        self._sizes: dict[str, Size] = {name: image_size or camera.size for name, camera in cameras.items()}
+        keys = read_features(metadata, state, achieved, action)
         self._columns, problems = check.read_columns(metadata, list(keys.values()), 1 if self._has_sidecars else 2)
-        problems = check.check_counts(metadata) + problems + check.check_videos(metadata, cameras)
+        problems = check.check_counts(metadata) + problems + check.check_cameras(metadata, self._sizes)
+        problems += check.check_tasks(metadata, self._columns, keys["task"]) if "task" in keys else []
         problems += self._check_sidecars(metadata) if self._has_sidecars else []
         self._metadata, self._keys, self.problems = metadata, keys, problems
         self._rows = check.usable_episodes(metadata, problems, skip_broken)
-        self._sizes: dict[str, Size] = {name: image_size or camera.size for name, camera in cameras.items()}
         place = f"{self.path.name}-{hashlib.sha256(str(self.path.resolve()).encode()).hexdigest()[:12]}"
         self._cache = (cache or _cache_folder()) / place
         self._maps, self._sidecar_maps = MmapCache(), MmapCache()
+        self._rule = None if success is None else SuccessRule(success)
+        self._objects = self._dimensions(goal_names)
         self.spec = self._spec()
 
     def __len__(self) -> int:
@@ -93,9 +107,11 @@ class LeRobotStore:
     def meta(self, i: int) -> EpisodeMeta:
         row = self._row(i)
         if self._has_sidecars:
-            return self._sidecars[row.index].meta
+            own = self._sidecars[row.index].meta
+            return own if self._rule is None else dataclasses.replace(own, success=self._succeeded(row))
         cameras = {name: {"height": h, "width": w} for name, (h, w) in self._sizes.items()}
         tasks, _ = self._tasks_of(row)
+        success = self._succeeded(row)
         return EpisodeMeta(
             environment=self.spec.environment,
             state_names=self.spec.state_names,
@@ -106,12 +122,17 @@ class LeRobotStore:
             actor="unknown",
             cameras=cameras,
             skills=tuple(tasks) if len(tasks) > 1 else (),
+            ended=how_ended(success),
             task=tasks[0] if len(tasks) == 1 else "",
+            verbatim=True,
+            success=success,
         )
 
     def read(self, i: int) -> Episode:
         keys = [*STORED.values(), *(IMAGES + camera for camera in self._sizes)]
-        return Episode.from_arrays(self.meta(i), {key: self.array(i, key) for key in keys})
+        rewards = self.rewards(i)
+        arrays = {key: self.array(i, key) for key in keys} | ({} if rewards is None else {REWARD: rewards})
+        return Episode.from_arrays(self.meta(i), arrays)
 
     def array(self, i: int, key: str) -> Array:
         row = self._row(i)
@@ -127,6 +148,26 @@ class LeRobotStore:
         images = {row.data for row in self._rows if set(row.clips) < set(self._sizes)}
         images |= {row.clips[name].file for row in self._rows for name in self._sizes if name in row.clips}
         return digests | {f"file {place}": str((self.path / place).stat().st_size) for place in sorted(images)}
+
+    def remarks(self) -> dict[str, str]:
+        unread = [camera.key for name, camera in self._metadata.cameras.items() if name not in self._sizes]
+        kept = KEPT_IN_SIDECARS if self._has_sidecars else ()
+        vectors = [] if self._has_sidecars else [self._keys[part] for part in VECTORS if part in self._keys]
+        return {
+            **left_out(self._metadata, {*self._keys.values(), *kept}),
+            **self._metadata.remarks,
+            **dict.fromkeys(unread, "left out: `without_images`"),
+            **{key: why for key in vectors if (why := self._metadata.renamed(key))},
+            **self._objects.remarks,
+        }
+
+    def rewards(self, i: int) -> Array | None:
+        row = self._row(i)
+        if self._has_sidecars:
+            return self._sidecar_maps.get(i, self._sidecars[row.index].arrays).get(REWARD)
+        if "reward" not in self._keys:
+            return None
+        return self._columns[row.index][self._keys["reward"]][: self._steps(row), 0].astype(np.float64)
 
     def verify(self) -> list[str]:
         problems = []
@@ -161,8 +202,8 @@ class LeRobotStore:
             return dataclasses.replace(StoreSpec.of_shapes(first, {}), cameras=self._sizes)
         metadata = self._metadata
         environment = {"type": "lerobot", "robot": metadata.robot}
-        state, achieved, action = (metadata.names(self._keys.get(part, "")) for part in ("state", "achieved", "action"))
-        return StoreSpec(environment, state, achieved, action, metadata.fps, self._sizes)
+        state, action = (metadata.names(self._keys[part]) for part in ("state", "action"))
+        return StoreSpec(environment, state, self._objects.goals(), action, metadata.fps, self._sizes)
 
     def _exact_array(self, i: int, row: Row, key: str) -> Array:
         arrays = self._sidecar_maps.get(i, self._sidecars[row.index].arrays)
@@ -184,7 +225,7 @@ class LeRobotStore:
         intervention = columns[self._keys["intervention"]][:steps, 0] > 0 if "intervention" in self._keys else None
         arrays = {
             "state": columns[self._keys["state"]],
-            "achieved": columns[self._keys["achieved"]] if "achieved" in self._keys else empty.astype(np.float32),
+            "achieved": self._column(row, "achieved")[:, list(self._objects.kept)],
             "sim_state": empty,
             "time": np.arange(steps + 1) / self.spec.fps,
             "action": action,
@@ -198,13 +239,44 @@ class LeRobotStore:
             raise StoreError(f"{self.path} has no {key}: it has {', '.join(known)}")
         return stored[key]
 
+    def _column(self, row: Row, part: str) -> Array:
+        """(length, n) the numbers of a part of one episode; n = 0 where the dataset has none."""
+        key = self._keys.get(part)
+        return np.zeros((row.length, 0), np.float32) if key is None else self._columns[row.index][key]
+
+    def _dimensions(self, goal_names: tuple[str, ...] | None) -> ObjectDimensions:
+        """What goals are about. Play that was recorded here knows; elsewhere what depends on the hand is left out."""
+        names = self._metadata.names(self._keys.get("achieved", ""))
+        if self._has_sidecars:
+            if goal_names is not None:
+                raise UsageError(
+                    f"goal_names: {self.path} is an export of play, which is read as it was: say what goals are about "
+                    "by data.goal_names"
+                )
+            return own_dimensions(names, None)
+        return choose_dimensions(
+            None,
+            names,
+            lambda: [(self._column(row, "achieved"), self._column(row, "state")) for row in self._rows],
+            goal_names,
+            self.path,
+            'achieved: ""',
+        )
+
+    def _succeeded(self, row: Row) -> bool | None:
+        """Whether an episode succeeded, as the user or the dataset says; None where that is not known."""
+        own = {part: self._columns[row.index][key][:, 0] for part, key in self._keys.items() if part in OUTCOMES}
+        if self._rule is not None:
+            return self._rule(Signals(own.get("reward"), own.get("done")), f"{self.path}: episode {row.index}")
+        return bool(own["success"].any()) if "success" in own else None
+
     def _tasks_of(self, row: Row) -> tuple[list[str], Array]:
         """The tasks of an episode, and (T,) int16 the task of each step; several tasks are read as skills."""
-        steps, names = self._steps(row), self._metadata.tasks
+        steps = self._steps(row)
         if "task" not in self._keys:
             return [], np.zeros(steps, np.int16)
-        numbers, own = np.unique(self._columns[row.index]["task_index"][:steps, 0].astype(int), return_inverse=True)
-        return [names[n] if 0 <= n < len(names) else f"task {n}" for n in numbers], own.astype(np.int16)
+        numbers, own = np.unique(self._columns[row.index][self._keys["task"]][:steps, 0], return_inverse=True)
+        return [self._metadata.tasks[int(n)] for n in numbers], own.astype(np.int16)
 
     def _frames(self, row: Row) -> dict[str, Array]:
         """The frames of every camera in one episode, memory-mapped; decoded first if they are not cached."""
@@ -261,29 +333,6 @@ class LeRobotStore:
                 message += f"; or remove {sidecar.FOLDER}/ to read the dataset without it"
                 problems.append(check.Problem(message, frozenset({row.index})))
         return problems
-
-
-def _features(metadata: DatasetMetadata, state: str, achieved: str, action: str) -> dict[str, str]:
-    """Part -> feature, for the parts that the dataset has.
-
-    Raises:
-        StoreError: it has no state or no action.
-    """
-    keys = {
-        "state": state,
-        "achieved": achieved,
-        "action": action,
-        "intervention": "intervention",
-        "task": "task_index",
-    }
-    present = {part: key for part, key in keys.items() if key in metadata.features}
-    for part in ("state", "action"):
-        if part not in present:
-            known = ", ".join(key for key in metadata.features if key.startswith(("observation", "action")))
-            raise StoreError(
-                f"{metadata.root} has no feature {keys[part]!r} for the {part}; it has {known}: set `{part}`"
-            )
-    return present
 
 
 def _cache_folder() -> Path:

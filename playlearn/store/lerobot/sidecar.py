@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from playlearn.episode import IMAGES, STORED, Array, Episode, EpisodeMeta
+from playlearn.episode import IMAGES, REWARD, STORED, Array, Episode, EpisodeMeta
 from playlearn.errors import StoreError
 from playlearn.store.base import from_json, to_json
 from playlearn.store.tensors import DAMAGED, Header, map_tensors, read_header, write_tensors
@@ -28,7 +28,7 @@ OBSERVED = tuple(STORED[name] for name in ("state", "achieved"))
 def write(root: Path, entry: int, index: int, episode: Episode) -> None:
     """Write the sidecar of an episode that was recorded under `index` and is the dataset's episode `entry`."""
     arrays = episode.arrays()
-    copied = {key: arrays[key] for key in COPIED}
+    copied = {key: arrays[key] for key in (*COPIED, REWARD) if key in arrays}
     copied |= {LAST + key: arrays[key][-1] for key in arrays if key in OBSERVED or key.startswith(IMAGES)}
     (root / FOLDER).mkdir(parents=True, exist_ok=True)
     write_tensors(_path(root, entry), copied, {"meta": to_json(episode.meta), "index": str(index)})
