@@ -231,7 +231,9 @@ def test_what_is_left_out_is_named(tmp_path: Path, capsys: pytest.CaptureFixture
     assert sorted(lines) == sorted(f"{key}: {remark}" for key, remark in remarks.items())
     for where in (root, tmp_path / "native"):
         assert main(["info", str(where), "--json"]) == 0
-        assert json.loads(capsys.readouterr().out)["remarks"] == remarks
+        facts = json.loads(capsys.readouterr().out)
+        assert facts["remarks"] == remarks
+        assert "the gripper (gripper)" in facts["goals"]
         assert main(["info", str(where)]) == 0
         assert set(lines) <= set(capsys.readouterr().out.splitlines())
 

@@ -1,9 +1,8 @@
 """A LeRobot v3.0 dataset as a store of play, without conversion.
 
 Opening reads the numbers into memory and reports everything that is missing or broken; what is whole and left out all
-the same is in `remarks`. A video is decoded once, an
-episode at a time when its images are first read, into a file that is memory-mapped from then on. The file is written
-whole or not at all, so that a killed run goes on where it was.
+the same is in `remarks`. A video is decoded once, an episode at a time when its images are first read, into a file that
+is memory-mapped from then on. The file is written whole or not at all, so that a killed run goes on where it was.
 
     frames     0     1     2   ...   n-1     a dataset with sidecars: T = n, the last observation is in the sidecar
     actions    0     1     2   ...   n-1     any other: T = n - 1, the observation after its last action is missing
