@@ -241,21 +241,22 @@ def test_a_fresh_policy_takes_a_datasets_names_from_any_form(tmp_path: Path) -> 
 
     from lerobot.configs.types import FeatureType, PolicyFeature
 
-    from playlearn.lerobot.configuration_playlearn import ACHIEVED, GOAL, STATE, PlaylearnConfig
+    from playlearn.lerobot.configuration_playlearn import ACHIEVED, STATE, PlaylearnConfig
+    from playlearn.lerobot.goals import GOAL_STATE
     from playlearn.lerobot.modeling_playlearn import PlaylearnPolicy
 
-    rows = {STATE: 3, "action": 3, ACHIEVED: 4, GOAL: 2}
+    rows = {STATE: 3, "action": 3, ACHIEVED: 4, GOAL_STATE: 2}
     numbers = {key: np.random.default_rng(0).normal(size=(20, size)).tolist() for key, size in rows.items()}
     described = {
         STATE: vector(None, 3),
         "action": vector({"gripper": 2, "dx": 0, "dy": 1}, 3),
         ACHIEVED: vector({"axes": ["x", "y", "goal.x", "goal.y"]}, 4),
-        GOAL: vector([["goal.x", "goal.y"]], 2),
+        GOAL_STATE: vector([["goal.x", "goal.y"]], 2),
     }
     root = write_dataset(tmp_path / "made", described, numbers, [20])
     stats = {key: {name: np.full(size, 0.5) for name in ("mean", "std", "min", "max")} for key, size in rows.items()}
     meta = SimpleNamespace(root=root, fps=20, features=described, camera_keys=[])
-    config = PlaylearnConfig(input_features={GOAL: PolicyFeature(FeatureType.STATE, (2,))}, device="cpu")
+    config = PlaylearnConfig(input_features={GOAL_STATE: PolicyFeature(FeatureType.STATE, (2,))}, device="cpu")
     spec = PlaylearnPolicy(config, stats, meta).policy.spec
     assert spec.state_names == ("state.0", "state.1", "state.2")
     assert spec.action_names == ("dx", "dy", "gripper")
