@@ -5,7 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Self
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from playlearn.episode import Array
@@ -68,9 +70,17 @@ class Batch(Inputs):
     steps_to_goal: Tensor
 
 
+ROUNDING = 1e-6  # of its size: a float32 that does not vary is uncertain by a tenth of this
+
+
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """Of one recorded vector, each (D,) float32; std is 1 where a dimension does not vary."""
+    """Of one recorded vector, each (D,) float32; std is 0, or a rounding error, where a dimension does not vary."""
 
     mean: Array
     std: Array
+
+    @property
+    def varies(self) -> NDArray[np.bool_]:
+        """(D,) whether a dimension varies by more than float32 rounds it, whatever its unit."""
+        return np.asarray(np.asarray(self.std) > ROUNDING * np.abs(self.mean))

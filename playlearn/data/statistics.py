@@ -12,6 +12,7 @@ from playlearn.episode import Array
 def statistics(dataset: PlayDataset) -> dict[str, Statistics]:
     """Of `state`, `achieved` and `action` over every recorded row of the dataset's episodes.
 
+    The std of a dimension that does not vary is 0, a figure like any other: whoever divides decides what to divide by.
     A change has mean 0 and the standard deviation of `achieved`: its own would be near 0 where changes are rare.
     """
     made = {name: _statistics(getattr(dataset, name)) for name in ("state", "achieved", "action")}
@@ -21,8 +22,6 @@ def statistics(dataset: PlayDataset) -> dict[str, Statistics]:
 
 
 def _statistics(rows: Array) -> Statistics:
-    low, high = rows.min(axis=0), rows.max(axis=0)
-    std = rows.std(axis=0, dtype=np.float64)
-    constant = (high - low) < 1e-6 * np.maximum(1.0, np.abs(high))
-    parts = rows.mean(axis=0, dtype=np.float64), np.where(constant, 1.0, std)
-    return Statistics(*(np.asarray(part, np.float32) for part in parts))
+    parts = rows.mean(axis=0, dtype=np.float64), rows.std(axis=0, dtype=np.float64)
+    found = Statistics(*(np.asarray(part, np.float32) for part in parts))
+    return dataclasses.replace(found, std=np.where(found.varies, found.std, np.float32(0)))

@@ -26,7 +26,7 @@ def test_statistics_are_those_of_the_recorded_rows(store: NativeStore) -> None:
     assert {value.dtype for value in vars(found["state"]).values()} == {np.dtype(np.float32)}
 
 
-def test_a_dimension_that_never_varies_has_a_deviation_of_one(tmp_path: Path) -> None:
+def test_a_dimension_that_never_varies_has_no_deviation_and_is_told_apart(tmp_path: Path) -> None:
     episode = make_episode(np.random.default_rng(0), 50)
     state = episode.state.copy()
     state[:, 1] = 0.3
@@ -34,5 +34,6 @@ def test_a_dimension_that_never_varies_has_a_deviation_of_one(tmp_path: Path) ->
     with store.writer() as writer:
         writer.append(dataclasses.replace(episode, state=state))
     found = statistics(DataConfig(goals=FinalConfig(), val_fraction=0.0).build(store, "train", 0))["state"]
-    assert found.std[1] == 1.0
+    assert found.std[1] == 0.0
+    assert found.varies.tolist() == [True, False, *[True] * (len(found.std) - 2)]
     assert abs(found.std[0] - state[:, 0].std()) < 1e-6
