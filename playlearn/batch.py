@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from playlearn.episode import Array
+from playlearn.quantity import ROUNDING
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -68,9 +69,6 @@ class Batch(Inputs):
     action: Tensor
     action_mask: Tensor
     steps_to_goal: Tensor
-
-
-ROUNDING = 1e-6  # of its size: a float32 that does not vary is uncertain by a tenth of this
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from playlearn.errors import EpisodeError
+from playlearn.quantity import Quantities
 
 Array = NDArray[Any]
 IMAGES = "observation.images."
@@ -86,6 +87,7 @@ class EpisodeMeta:
     ended: why the episode stopped.
     task: what was asked for; "" in free play.
     split: "train" or "val" where the recording fixes it; "" leaves it to the episode's number.
+    quantities: what the dimensions of `state` and `achieved` measure, and what bounds the actions.
     """
 
     environment: Mapping[str, Any]
@@ -103,6 +105,7 @@ class EpisodeMeta:
     ended: str = "length"
     task: str = ""
     split: str = ""
+    quantities: Quantities = field(default_factory=Quantities)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +152,11 @@ class Episode:
         if not (np.diff(self.time) > 0).all():
             first = int(np.argmax(np.diff(self.time) <= 0))
             raise EpisodeError(f"time does not go forward after step {first}: the simulator was reset in mid-episode")
+        meta, given = self.meta, self.meta.quantities
+        names = {"state": meta.state_names, "achieved": meta.achieved_names, "action_bounds": meta.action_names}
+        for name, own in names.items():
+            if getattr(given, name) and len(getattr(given, name)) != len(own):
+                raise EpisodeError(f"meta.quantities.{name} declares {len(getattr(given, name))} of {len(own)} numbers")
         if self.skill.min() < 0 or self.skill.max() >= max(len(self.meta.skills), 1):
             raise EpisodeError(f"skill indexes {self.skill.max()}, but meta.skills has {len(self.meta.skills)} names")
         object.__setattr__(self, "images", MappingProxyType(dict(self.images)))

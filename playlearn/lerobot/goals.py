@@ -38,6 +38,7 @@ from playlearn.store.lerobot.content import (
     SUCCESS,
     Entry,
     Features,
+    declared,
     flags,
     image_features,
     steps,
@@ -141,6 +142,9 @@ class Windows:
         goal_names = tuple(f"goal.{name}" for name in names)
         both = (*spec.achieved_names, *goal_names) if spec.achieved_names else ()
         made = vectors({STATE: spec.state_names, ACHIEVED: both, ACTION: spec.action_names, GOAL_STATE: goal_names})
+        given = spec.quantities
+        measured = {STATE: given.state, ACHIEVED: 2 * given.achieved, GOAL_STATE: given.achieved or given.state}
+        made = declared(made, measured, given)
         sizes = self.store.cameras()
         goals = {f"goal_{camera}": sizes[camera] for camera in self.cameras}
         return made | flags(INTERVENTION, SUCCESS) | image_features(sizes | goals)

@@ -14,13 +14,16 @@ import torch
 from lerobot.policies.pretrained import PreTrainedPolicy
 from torch import Tensor
 
-from playlearn.batch import Batch, Inputs, Statistics
+from playlearn.batch import Batch, Inputs
 from playlearn.config import to_dict
+from playlearn.data.statistics import statistics_of
 from playlearn.episode import IMAGES, Array, Goal, Observation
 from playlearn.errors import UsageError
 from playlearn.lerobot.configuration_playlearn import ACHIEVED, GOAL, GOAL_IMAGES, STATE, PlaylearnConfig
 from playlearn.policies import Policy, PolicySpec
 from playlearn.policies.execution import PolicyActor
+from playlearn.quantity import Quantities
+from playlearn.store.lerobot.metadata import load_metadata
 
 
 class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
@@ -127,30 +130,36 @@ def _fresh(config: PlaylearnConfig, stats: Mapping[str, Any] | None, meta: Any) 
     sizes = {
         key.removeprefix(IMAGES): meta.features[key]["shape"] for key in meta.camera_keys if key.startswith(IMAGES)
     }
-    action = {name: np.asarray(stats["action"][name], np.float64) for name in ("min", "max")}
     spec = PolicySpec(
         state_names=names[STATE],
         achieved_names=names.get(ACHIEVED, ())[:num_achieved],
         action_names=names["action"],
         fps=float(meta.fps),
         cameras={name: (int(h), int(w)) for name, (h, w, _) in sizes.items() if not name.startswith("goal_")},
-        bounded=bool(action["min"].min() >= -1 and action["max"].max() <= 1),
+        quantities=_quantities(meta, num_achieved),
     )
-    widths = {"state": (STATE, len(spec.state_names)), "achieved": (ACHIEVED, num_achieved), "action": ("action", None)}
+    given, nothing = spec.quantities, np.zeros((1, 0), np.float32)
+    achieved = _rows(meta, ACHIEVED)[:, :num_achieved] if ACHIEVED in names else nothing
+    labels = _rows(meta, "action")
     statistics = {
-        part: Statistics(*(np.asarray(stats[key][name], np.float32)[:width] for name in ("mean", "std")))
-        for part, (key, width) in widths.items()
-        if key in stats
+        "state": statistics_of(_rows(meta, STATE), given.state),
+        "achieved": statistics_of(achieved, given.achieved),
+        "action": statistics_of(labels),
     }
-    statistics.setdefault("achieved", Statistics(np.zeros(0, np.float32), np.ones(0, np.float32)))
     policy = config.policy().build(spec, statistics, config.seed)
-    policy.fit_action_statistics(torch.from_numpy(_labels(meta)))
+    policy.fit_action_statistics(torch.from_numpy(labels))
     return policy
 
 
-def _labels(meta: Any) -> Array:
-    """(n, A) every action of a dataset."""
-    column = pq.read_table(meta.root / "data", columns=["action"])["action"].combine_chunks()
+def _quantities(meta: Any, num_achieved: int) -> Quantities:
+    """What the dataset declares; of `achieved` the part that is not the goal."""
+    dataset = load_metadata(meta.root)
+    return Quantities(dataset.quantities(STATE), dataset.quantities(ACHIEVED)[:num_achieved], dataset.bounds("action"))
+
+
+def _rows(meta: Any, key: str) -> Array:
+    """(n, D) every row of a column of numbers of a dataset."""
+    column = pq.read_table(meta.root / "data", columns=[key])[key].combine_chunks()
     return np.asarray(column.flatten(), np.float32).reshape(len(column), -1)
 
 

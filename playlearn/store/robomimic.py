@@ -14,6 +14,7 @@ import numpy as np
 from playlearn.config import nearest
 from playlearn.episode import Array, Episode, EpisodeMeta
 from playlearn.errors import StoreError, UsageError
+from playlearn.quantity import Quantities
 from playlearn.store.base import StoreSpec, plain
 from playlearn.store.hdf5 import (
     Demonstrations,
@@ -24,9 +25,11 @@ from playlearn.store.hdf5 import (
     masks,
     open_hdf5,
 )
+from playlearn.store.robosuite_controller import action_bounds
 
 FPS = 20.0  # robosuite's default, for files that do not state it
 ACTIONS = ("dx", "dy", "dz", "droll", "dpitch", "dyaw", "gripper")  # robosuite's OSC_POSE
+ROBOSUITE = 1  # robomimic's type of an environment
 _PROPRIO = ("eef_pos", "eef_quat", "gripper_qpos")
 _PARTS = {"pos": ("x", "y", "z"), "quat": ("qx", "qy", "qz", "qw")}
 IMAGE = "_image"  # suffix of a camera's key
@@ -99,6 +102,7 @@ class RobomimicFile(Demonstrations):
             action_names=ACTIONS if actions == len(ACTIONS) else tuple(f"action.{k}" for k in range(actions)),
             fps=float(fps or kwargs.get("control_freq") or FPS),
             cameras={camera: self._layout[key][:2] for camera, key in self._cameras.items()},
+            quantities=self._quantities(arguments, actions),
         )
         settings = {"state": state, "achieved": achieved, "cameras": cameras, "mask": mask, "val_mask": val_mask}
         note = {"format": "robomimic", "source": path.name, "bytes": path.stat().st_size, **settings, "fps": fps}
@@ -132,6 +136,13 @@ class RobomimicFile(Demonstrations):
             names += [f"{key}.{part}" for part in (parts if len(parts) == width else range(width))]
         return tuple(names)
 
+    def _quantities(self, arguments: Mapping[str, Any], actions: int) -> Quantities:
+        """What robosuite's own keys and controllers say; nothing is known of another simulator's."""
+        if arguments.get("type") != ROBOSUITE:
+            return Quantities()
+        state, achieved = (tuple(map(_quantity, self._parts(keys))) for keys in (self._state, self._achieved))
+        return Quantities(state, achieved, action_bounds(arguments.get("env_kwargs") or {}, actions))
+
     def _episode(self, group: Any, number: int, name: str) -> Episode:
         steps = dataset(group, "actions").shape[0] - 1
 
@@ -150,6 +161,7 @@ class RobomimicFile(Demonstrations):
             fps=self.spec.fps,
             seed=number,
             actor="demonstrator",
+            quantities=self.spec.quantities,
             cameras={camera: {"height": h, "width": w} for camera, (h, w) in self.spec.cameras.items()},
             ended=SUCCESS if success else "length",
             split=("val" if number in self._val else "train") if self._val else "",
@@ -166,6 +178,14 @@ class RobomimicFile(Demonstrations):
             skill=np.zeros(steps, np.int16),
             images={camera: np.asarray(dataset(group, key)) for camera, key in self._cameras.items()},
         )
+
+
+def _quantity(name: str) -> str:
+    """What `robot0_eef_pos.x` or `robot0_eef_quat.qw` measures; "" of what robosuite's names do not tell."""
+    key, _, part = name.rpartition(".")
+    if key.endswith("_pos") and part in _PARTS["pos"]:
+        return f"length {part}"
+    return f"quaternion {key}" if part in _PARTS["quat"] else ""
 
 
 def _keys(

@@ -7,6 +7,7 @@ state       eef.x y z, eef.r00 r10 r20 r01 r11 r21 (two columns of its rotation)
 achieved    <joint>.x y z qw qx qy qz of free joints, <joint>.pos of hinge and slide joints
 """
 
+import dataclasses
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ import numpy as np
 
 from playlearn.episode import Array, Episode, EpisodeMeta
 from playlearn.errors import StoreError
+from playlearn.quantity import Quantities, own_quantities
 from playlearn.store.base import StoreSpec
 from playlearn.store.hdf5 import (
     Demonstrations,
@@ -29,11 +31,13 @@ from playlearn.store.hdf5 import (
     open_hdf5,
 )
 from playlearn.store.robomimic import ACTIONS, FPS
+from playlearn.store.robosuite_controller import action_bounds
 
 _PLACE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _TURN = ("r00", "r10", "r20", "r01", "r11", "r21")
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
-_SINGLE = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+_SINGLE = (int(mujoco.mjtJoint.mjJNT_SLIDE), _HINGE)
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,7 @@ class RobosuiteFile(Demonstrations):
             achieved_names=scene.achieved_names,
             action_names=ACTIONS if width == len(ACTIONS) else tuple(f"action.{k}" for k in range(width)),
             fps=float(fps or info.get("control_freq") or FPS),
+            quantities=dataclasses.replace(scene.quantities, action_bounds=action_bounds(info, width)),
         )
         size = path.stat().st_size
         self.note = {"format": "robosuite", "source": path.name, "bytes": size, "mask": mask, "fps": fps}
@@ -103,6 +108,7 @@ class RobosuiteFile(Demonstrations):
             fps=self.spec.fps,
             seed=number,
             actor="demonstrator",
+            quantities=self.spec.quantities,
         )
         return Episode(
             meta=meta,
@@ -138,15 +144,22 @@ class Scene:
         self._fingers = [int(joint.qposadr[0]) for joint in joints if joint.name.startswith("gripper")]
         self._object_qpos: list[int] = []
         names: list[str] = []
+        turning: list[str] = []  # those whose numbers are a hinge that goes round and round
         for joint in joints:
             if joint.name.startswith(("gripper", "robot")) or int(joint.type[0]) not in (_FREE, *_SINGLE):
                 continue
             parts = _PLACE if int(joint.type[0]) == _FREE else ("pos",)
             self._object_qpos += range(int(joint.qposadr[0]), int(joint.qposadr[0]) + len(parts))
             names += [f"{joint.name}.{part}" for part in parts]
+            endless = int(joint.type[0]) == _HINGE and not model.jnt_limited[joint.id]
+            turning += [f"{joint.name}.pos"] if endless else []
         eef = [f"eef.{part}" for part in (*_PLACE[:3], *_TURN)]
         self.state_names = (*eef, *(f"gripper.q{k}" for k in range(len(self._fingers))))
         self.achieved_names = tuple(names)
+        own = own_quantities(self.state_names, names, 0)
+        alone = {name: f"{'angle' if name in turning else 'plain'} {name}" for name in names if name.endswith(".pos")}
+        achieved = tuple(alone.get(name, text) for name, text in zip(names, own.achieved, strict=True))
+        self.quantities = Quantities(own.state, achieved)
 
     def observe(self, states: Array, name: str) -> tuple[Array, Array]:
         """State (T, S) and achieved goal (T, G), float32, from robosuite's flat states (T, 1 + nq + nv)."""

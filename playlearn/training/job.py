@@ -93,7 +93,7 @@ class _Run:
             cameras={camera: (int(h), int(w)) for camera, (h, w) in self._cameras().items()},
             controller=store.meta(0).controller,
             predicts=config.data.target,
-            bounded=bool(np.abs(self.data.action).max() <= 1),
+            quantities=store.spec.quantities,
         )
         self.sources = build_sources(self.data, config.extra_datasets, config.seed)
         self.extra: list[tuple[Part, float]] = [*self.sources]
@@ -228,7 +228,11 @@ class _Run:
 
     @torch.no_grad()
     def evaluate(self) -> dict[str, float]:
-        """Metrics of the averaged weights on held-out play; action_error in units of the action, over the chunk."""
+        """Metrics of the averaged weights on held-out play.
+
+        action_error: mean over the chunk and its numbers, each as a share of its spread in the data (see `scaled`), so
+        that a small unit counts like a large one.
+        """
         policy = cast(Policy, self.ema.module)
         policy.eval()
         window = _Window()
@@ -236,7 +240,7 @@ class _Run:
             generator = _generator(self.config.seed, number, -1)
             loss, metrics = policy.loss(batch.to(self.accelerator.device), generator)
             if policy.acting_learns:
-                error = (policy.act(batch, generator) - batch.action).abs().mean(dim=-1)[batch.action_mask].mean()
+                error = policy.action_error(policy.act(batch, generator), batch.action)[batch.action_mask].mean()
                 metrics = {**metrics, "action_error": error}
             window.add({"loss": loss, **metrics})
         return window.means()

@@ -11,6 +11,7 @@ from playlearn.batch import Statistics
 from playlearn.config import from_dict
 from playlearn.policies import EncoderConfig, HeadConfig, Policy, PolicyConfig, PolicySpec, TrunkConfig
 from playlearn.policies.heads import Head
+from playlearn.quantity import Quantities
 
 torch.set_num_threads(1)
 
@@ -20,6 +21,7 @@ SPEC = PolicySpec(
     action_names=("dx", "dy", "gripper"),
     fps=20.0,
     cameras={"front": (16, 16), "wrist": (16, 16)},
+    quantities=Quantities(action_bounds=((-1.0, 1.0),) * 3),
 )
 S, G, A, H = 3, 4, 3, 4
 

@@ -5,8 +5,9 @@ import pytest
 
 from playlearn.relabeling import RelabelIndex, SettlingConfig
 from playlearn.relabeling.settling import thresholds
-from tests.synthetic import ACHIEVED, FPS, make_episode
+from tests.synthetic import ACHIEVED, FPS, QUANTITIES, make_episode
 
+DECLARED = QUANTITIES.achieved
 NAMES = ("red.x", "lamp.on")
 
 
@@ -24,7 +25,7 @@ MOVED = env((10, 0.0, 0.0), (20, 0.0, 1.0), (10, 0.1, 1.0), (41, 0.1, 1.0))
 
 
 def table(*envs: np.ndarray, **settling: object) -> RelabelIndex:
-    return RelabelIndex.build(list(envs), NAMES, FPS, SettlingConfig(**settling))
+    return RelabelIndex.build(list(envs), NAMES, FPS, SettlingConfig(**settling), ("length x", "binary on"))
 
 
 def test_settled_moments_come_a_rest_after_each_change() -> None:
@@ -78,9 +79,9 @@ def test_a_pause_shorter_than_the_rest_is_part_of_the_motion() -> None:
 def test_laws_on_random_play(seed: int) -> None:
     rng = np.random.default_rng(seed)
     envs = [make_episode(rng, int(rng.integers(1, 400))).achieved for _ in range(4)]
-    made = RelabelIndex.build(envs, ACHIEVED, FPS, SettlingConfig())
-    change = thresholds(SettlingConfig().change, ACHIEVED, "change")
-    rest = thresholds(SettlingConfig().rest, ACHIEVED, "rest")
+    made = RelabelIndex.build(envs, ACHIEVED, FPS, SettlingConfig(), DECLARED)
+    change = thresholds(SettlingConfig().change, ACHIEVED, DECLARED, "change")
+    rest = thresholds(SettlingConfig().rest, ACHIEVED, DECLARED, "rest")
     assert sum(len(made.settled(e)[0]) for e in range(4)) == len(made.moments)
     for e, achieved in enumerate(envs):
         moments, ends = made.settled(e)
@@ -100,6 +101,6 @@ def test_laws_on_random_play(seed: int) -> None:
 def test_synthetic_segments_are_all_found() -> None:
     # Every synthetic segment ends with 1 s of rest, so a change is missed only where the episode cuts it.
     episode = make_episode(np.random.default_rng(3), 2000)
-    found = RelabelIndex.build([episode.achieved], ACHIEVED, FPS, SettlingConfig())
+    found = RelabelIndex.build([episode.achieved], ACHIEVED, FPS, SettlingConfig(), DECLARED)
     # Segments last 45 to 73 steps and each is one change, so 2,000 steps hold 27 whole ones at least.
     assert 27 <= len(found.moments) <= 1 + 2000 // 45

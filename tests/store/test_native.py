@@ -16,6 +16,7 @@ from safetensors.numpy import load_file
 from playlearn.episode import Episode
 from playlearn.errors import EpisodeError, StoreError
 from playlearn.store import NativeStore, NativeStoreConfig, StoreSpec, episode_path, open_store, write_episode
+from playlearn.store.base import to_json
 from playlearn.store.mmap_cache import OPEN_MAPS
 from tests.synthetic import SKILLS, make_episode, make_store
 
@@ -28,7 +29,7 @@ def rng() -> np.random.Generator:
 def same(one: Episode, other: Episode) -> bool:
     mine, its = one.arrays(), other.arrays()
     equal = mine.keys() == its.keys() and all(np.array_equal(mine[key], its[key]) for key in mine)
-    return equal and json.dumps(vars(one.meta), default=dict) == json.dumps(vars(other.meta), default=dict)
+    return equal and to_json(one.meta) == to_json(other.meta)
 
 
 def test_episodes_read_back_equal(tmp_path: Path, rng: np.random.Generator) -> None:

@@ -21,7 +21,7 @@ from playlearn.config import from_dict, load_config
 from playlearn.data import statistics
 from playlearn.errors import CheckpointError, NotLearnedError, StoreError, UsageError
 from playlearn.policies import Policy
-from playlearn.policies.normalize import pooled
+from playlearn.policies.normalize import scaled
 from playlearn.report.progress import Pace
 from playlearn.threads import limit
 from playlearn.training import TrainConfig, train
@@ -130,8 +130,7 @@ def test_statistics_come_from_the_training_episodes(play: Path, tmp_path: Path) 
     train(settings, tmp_path / "run")
     policy = Policy.load(tmp_path / "run" / "policy")
     data = settings.resolved().data.build(module.open_store(play), "train", 0)
-    names = {"state": policy.spec.state_names, "achieved": policy.spec.achieved_names}
-    expected = pooled(statistics(data), names)
+    expected = scaled(statistics(data), policy.spec)
     for name in ("state", "achieved"):
         for what in ("mean", "std"):
             stored = policy.normalizer.get_buffer(f"{name}_{what}")

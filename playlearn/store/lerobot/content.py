@@ -22,7 +22,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from playlearn.episode import IMAGES, Array, Episode, read_annotation
+from playlearn.quantity import Quantities
 from playlearn.store.base import Store, StoreSpec
+from playlearn.store.lerobot.metadata import BOUNDS, QUANTITIES
 
 PLAY = "play"  # task of a step that has neither a task nor a skill
 SUCCEEDED = "stopped"  # how an episode ends that achieved its task
@@ -89,7 +91,9 @@ class Play:
 
     def features(self) -> Features:
         spec = self.store.spec
+        given = spec.quantities
         made = vectors({STATE: spec.state_names, ACHIEVED: spec.achieved_names, ACTION: spec.action_names})
+        made = declared(made, {STATE: given.state, ACHIEVED: given.achieved}, given)
         made |= flags(INTERVENTION, *([SUCCESS] if self.has_success else []))
         return made | image_features(self.store.cameras())
 
@@ -141,6 +145,14 @@ def vectors(named: Mapping[str, tuple[str, ...]]) -> Features:
     return {
         k: {"dtype": "float32", "shape": (len(names),), "names": list(names)} for k, names in named.items() if names
     }
+
+
+def declared(features: Features, quantities: Mapping[str, tuple[str, ...]], given: Quantities) -> Features:
+    """The same with what their numbers measure and what bounds the actions, which LeRobot keeps and does not read."""
+    added: dict[str, dict[str, Any]] = {key: {QUANTITIES: list(own)} for key, own in quantities.items() if own}
+    if given.action_bounds:
+        added[ACTION] = {BOUNDS: [pair and list(pair) for pair in given.action_bounds]}
+    return {key: {**feature, **added.get(key, {})} for key, feature in features.items()}
 
 
 def flags(*keys: str) -> Features:

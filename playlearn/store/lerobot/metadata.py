@@ -12,12 +12,14 @@ import pyarrow.parquet as pq
 
 from playlearn.episode import IMAGES
 from playlearn.errors import StoreError
+from playlearn.quantity import KINDS, kind
 
 INFO = "meta/info.json"
 TASKS = "meta/tasks.parquet"
 EPISODES = "meta/episodes"
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+QUANTITIES, BOUNDS = "quantities", "bounds"  # what a feature's numbers measure, and between what an action lies
 PICKLES = (".pkl", ".pickle", ".pt", ".pth", ".joblib")
 UNREADABLE = (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, pa.ArrowException)
 
@@ -98,6 +100,44 @@ class DatasetMetadata:
             names = [name for part in names.values() for name in (part if isinstance(part, list) else [part])]
         part = key.removeprefix("observation.")
         return tuple(map(str, names)) if names and len(names) == size else tuple(f"{part}.{i}" for i in range(size))
+
+    def quantities(self, key: str) -> tuple[str, ...]:
+        """What each dimension of a feature measures (see `quantity.py`); () where nobody said.
+
+        Raises:
+            StoreError: it is not said of each dimension, or of a kind that is not known.
+        """
+        given = self.features.get(key, {}).get(QUANTITIES)
+        if given is None:
+            return ()
+        size = len(self.names(key))
+        if len(given) != size or any(str(text) and kind(str(text)) not in KINDS for text in given):
+            raise StoreError(
+                f"{self.root / INFO}: {QUANTITIES} of {key} must give each of its {size} numbers a kind "
+                f"({', '.join(KINDS)}) and a group, or an empty text: {given}"
+            )
+        return tuple(map(str, given))
+
+    def bounds(self, key: str) -> tuple[tuple[float, float] | None, ...]:
+        """The lowest and highest value of each dimension of a feature, None without; () where nobody said.
+
+        Raises:
+            StoreError: they are not two rising numbers, or none, of each dimension.
+        """
+        given = self.features.get(key, {}).get(BOUNDS)
+        if given is None:
+            return ()
+        try:
+            pairs = tuple(None if pair is None else (float(pair[0]), float(pair[1])) for pair in given)
+            sound = len(pairs) == len(self.names(key)) and all(pair is None or pair[0] < pair[1] for pair in pairs)
+        except UNREADABLE:
+            sound = False
+        if not sound:
+            raise StoreError(
+                f"{self.root / INFO}: {BOUNDS} of {key} must give each of its {len(self.names(key))} numbers "
+                f"[lowest, highest] or null: {given}"
+            )
+        return pairs
 
 
 def is_lerobot(root: Path) -> bool:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from playlearn.episode import IMAGES, STORED, Array, Episode, EpisodeMeta
 from playlearn.errors import EpisodeError, StoreError
+from playlearn.quantity import Quantities
 from playlearn.store.base import StoreSpec, summary
 from playlearn.store.lerobot import check, sidecar
 from playlearn.store.lerobot.frames import Size, decode_episode, resized
@@ -106,6 +107,7 @@ class LeRobotStore:
             cameras=cameras,
             skills=tuple(tasks) if len(tasks) > 1 else (),
             task=tasks[0] if len(tasks) == 1 else "",
+            quantities=self.spec.quantities,
         )
 
     def read(self, i: int) -> Episode:
@@ -152,8 +154,10 @@ class LeRobotStore:
             return dataclasses.replace(StoreSpec.of_shapes(first, {}), cameras=self._sizes)
         metadata = self._metadata
         environment = {"type": "lerobot", "robot": metadata.robot}
-        state, achieved, action = (metadata.names(self._keys.get(part, "")) for part in ("state", "achieved", "action"))
-        return StoreSpec(environment, state, achieved, action, metadata.fps, self._sizes)
+        state, achieved, action = (self._keys.get(part, "") for part in ("state", "achieved", "action"))
+        names = metadata.names(state), metadata.names(achieved), metadata.names(action)
+        quantities = Quantities(metadata.quantities(state), metadata.quantities(achieved), metadata.bounds(action))
+        return StoreSpec(environment, *names, metadata.fps, self._sizes, quantities)
 
     def _exact_array(self, i: int, row: Row, key: str) -> Array:
         arrays = self._sidecar_maps.get(i, self._sidecars[row.index].arrays)
