@@ -52,9 +52,9 @@ class Normalizer(nn.Module):
 def scaled(statistics: Mapping[str, Statistics], spec: PolicySpec) -> dict[str, Statistics]:
     """What to normalize by: of `state` and `achieved` by quantity, of actions by how much of their range is used.
 
-    A dimension that does not vary is only shifted, and so is one of declared unit whose std is below `FINEST`: dividing
-    by a tiny std would amplify rounding noise to the size of a signal. One whose unit nobody declared is normalized
-    by its own std, at whatever scale.
+    What does not vary of `state` and `achieved` is only shifted, and so is a dimension of declared unit whose std is
+    below `FINEST`: dividing by a tiny std would amplify rounding noise to the size of a signal. A dimension whose unit
+    nobody declared is normalized by its own std, at whatever scale.
     """
     state, achieved = (statistics[name] for name in ("state", "achieved"))
     declared = {
@@ -62,9 +62,10 @@ def scaled(statistics: Mapping[str, Statistics], spec: PolicySpec) -> dict[str, 
         "achieved": spec.quantities.of("achieved", len(achieved.std)),
     }
     made = _pooled({"state": state, "achieved": achieved}, declared)
-    made["action"] = _floored(statistics["action"], spec.bounds)
-    declared["action"] = ("",) * len(made["action"].std) if spec.predicts == "actions" else declared["achieved"]
-    return {name: _only_shifted(one, declared[name]) for name, one in made.items()}
+    shifted = {name: _only_shifted(one, declared[name]) for name, one in made.items()}
+    if spec.predicts == "actions":
+        return {**shifted, "action": _in_own_units(_floored(statistics["action"], spec.bounds))}
+    return {**shifted, "action": _only_shifted(statistics["action"], declared["achieved"])}
 
 
 def _only_shifted(given: Statistics, declared: Sequence[str]) -> Statistics:
@@ -72,6 +73,16 @@ def _only_shifted(given: Statistics, declared: Sequence[str]) -> Statistics:
     floor = np.array([FINEST if text else 0.0 for text in declared])
     flat = ~given.varies | (given.std < floor)
     return Statistics(given.mean, np.where(flat, np.float32(1), given.std))
+
+
+def _in_own_units(given: Statistics) -> Statistics:
+    """With a std for each action that does not vary: its own size, or the least std of those that do.
+
+    What is predicted is off by some share of a std: by a 1 of no unit it would be off by any number of times its size.
+    """
+    varies, sizes = given.varies, np.abs(given.mean)
+    least = given.std[varies].min() if varies.any() else np.float32(1)
+    return Statistics(given.mean, np.where(varies, given.std, np.where(sizes > 0, sizes, least)))
 
 
 def _floored(given: Statistics, bounds: Sequence[tuple[float, float] | None]) -> Statistics:

@@ -76,6 +76,14 @@ def test_a_unit_that_nobody_declared_may_be_as_small_as_it_likes() -> None:
     assert made["action"].std.tolist() == pytest.approx([1e-6])
 
 
+def test_an_action_that_never_varies_is_off_by_a_share_of_itself() -> None:
+    """Of 0.37 nothing else is known than its size; of 0 not even that: the least of the others has to do."""
+    for scale in (1.0, 1e-4):
+        steady = Statistics(scale * np.array([0.37, 0.0, 0.1, 0.0]), scale * np.array([0.0, 0.0, 0.02, 0.5]))
+        made = scaled(given() | {"action": steady}, spec(("",), ("",), (None,) * 4))
+        assert (made["action"].std / scale).tolist() == pytest.approx([0.37, 0.02, 0.02, 0.5])
+
+
 def test_dimensions_of_one_quantity_share_their_scale() -> None:
     """Two `x` of means 0 and 2 and spread 1 pool to mean 1 and spread sqrt(1 + 1); `y` stands alone."""
     told = {"state": Statistics(np.array([0.0, 5.0]), np.ones(2)), "achieved": Statistics(np.array([2.0]), np.ones(1))}

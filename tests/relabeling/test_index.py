@@ -104,3 +104,24 @@ def test_synthetic_segments_are_all_found() -> None:
     found = RelabelIndex.build([episode.achieved], ACHIEVED, FPS, SettlingConfig(), DECLARED)
     # Segments last 45 to 73 steps and each is one change, so 2,000 steps hold 27 whole ones at least.
     assert 27 <= len(found.moments) <= 1 + 2000 // 45
+
+
+def test_another_spelling_of_the_same_pose_is_no_change() -> None:
+    """A thing lies still; its yaw is read as pi or -pi, its quaternion as q or -q, a noisy lamp as 0.3 or -0.1."""
+    flip = np.arange(120) % 7 < 3
+    rows = np.zeros((120, 6), np.float32)
+    rows[:, 0] = np.where(flip, 3.141, -3.141)
+    rows[:, 1:5] = np.where(flip[:, None], 1, -1) * np.array([0.6, 0.0, 0.8, 0.0])
+    rows[:, 5] = np.where(flip, 0.3, -0.1)
+    names = ("red.yaw", *(f"red.q{k}" for k in range(4)), "lamp")
+    declared = ("angle yaw", *("quaternion red",) * 4, "binary on")
+    for settling in (SettlingConfig(), SettlingConfig(change={"default": None}, rest={"default": None})):
+        assert len(RelabelIndex.build([rows], names, FPS, settling, declared).moments) == 0
+    turned = rows.copy()  # half a turn about an axis, from observation 60 on: one change
+    turned[60:, 0] = 0.0
+    turned[60:, 1:5] = np.where(flip[60:, None], 1, -1) * np.array([0.0, 0.6, 0.0, 0.8])
+    turned[60:, 5] = 1.0
+    made = RelabelIndex.build([turned], names, FPS, SettlingConfig(), declared)
+    assert made.moments.tolist() == [66]
+    assert made.changed.tolist() == [[True] * 6]
+    assert made.groups_apart(rows[:1], rows[3:4]).tolist() == [[False, False]]

@@ -123,3 +123,19 @@ def test_thresholds_match_patterns_and_the_last_counts() -> None:
 def test_a_name_without_a_threshold_is_refused(patterns: dict[str, float | None]) -> None:
     with pytest.raises(UsageError, match=r"settling\.rest: lamp\.on"):
         thresholds({"red.x": 0.1, **patterns}, ("red.x", "lamp.on"), ("", ""), "rest")
+
+
+def test_what_nobody_declared_alike_has_its_own_thresholds_at_any_scale(play: list[np.ndarray]) -> None:
+    """Two joints, one in units 1e6 times as small, as `a.pos` and `b.pos`: neither knows of the other."""
+    both = [np.stack([one[:, 0], 1e-6 * one[:, 0]], axis=1).astype(np.float64) for one in play]
+    for threshold in measure(both, ("", ""), FPS, WINDOW):
+        assert 0 < threshold[0] < np.inf
+        np.testing.assert_allclose(threshold[1], 1e-6 * threshold[0])
+
+
+def test_by_default_the_kind_decides_and_what_has_none_is_measured(play: list[np.ndarray]) -> None:
+    names, declared = ("a.c", "b.c", "c.x"), ("", "direction c", "length x")
+    given = SettlingConfig().measured([one[:, [0, 3, 0]] for one in play], names, declared, FPS)
+    change = thresholds(given.change, names, declared, "change")
+    assert change[1:].tolist() == [0.15, 0.015]
+    assert change[0] == measure([one[:, :1] for one in play], ("",), FPS, WINDOW)[0][0]

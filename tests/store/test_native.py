@@ -311,3 +311,24 @@ def test_info_counts_what_is_there(tmp_path: Path, rng: np.random.Generator) -> 
 def test_a_config_opens_its_store(tmp_path: Path, rng: np.random.Generator) -> None:
     make_store(tmp_path / "play", rng, 1, 5)
     assert len(NativeStoreConfig(tmp_path / "play").build()) == 1
+
+
+def test_a_store_that_does_not_say_what_its_numbers_measure_is_refused(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    make_store(tmp_path / "play", rng, 1, 5)
+    path = tmp_path / "play" / "store.json"
+    description = json.loads(path.read_text())
+    del description["quantities"]
+    path.write_text(json.dumps(description))
+    with pytest.raises(
+        StoreError, match=r"store\.json: .*what its numbers measure .*; collect or import the recording again"
+    ):
+        NativeStore.open(tmp_path / "play")
+
+
+def test_a_declaration_is_of_every_number(rng: np.random.Generator) -> None:
+    episode = make_episode(rng, 5)
+    short = dataclasses.replace(episode.meta.quantities, state=("length x",))
+    with pytest.raises(EpisodeError, match=r"quantities\.state declares 1 of 4"):
+        dataclasses.replace(episode, meta=dataclasses.replace(episode.meta, quantities=short))

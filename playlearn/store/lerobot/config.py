@@ -27,9 +27,9 @@ class LeRobotStoreConfig(StoreConfig):
     without_images: read the numbers only.
     skip_broken: leave out the episodes that cannot be read.
 
-    LeRobot does not say what a number measures. Each dimension therefore has its own mean, spread and thresholds, and no
-    bounds, unless features of `meta/info.json` say more, as those that `export lerobot` writes do: `quantities`, a text
-    a dimension (see `quantity.py`), and `bounds` of actions, `[lowest, highest]` or null.
+    LeRobot does not say what a number measures. Each dimension therefore has its own mean, spread and thresholds, and
+    no bounds, unless features of `meta/info.json` say more, as those that `export lerobot` writes do: `quantities`, a
+    text a dimension (see `quantity.py`), and `bounds` of actions, `[lowest, highest]` or null.
     """
 
     root: Path | None = None

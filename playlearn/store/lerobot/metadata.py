@@ -111,7 +111,8 @@ class DatasetMetadata:
         if given is None:
             return ()
         size = len(self.names(key))
-        if len(given) != size or any(str(text) and kind(str(text)) not in KINDS for text in given):
+        known = isinstance(given, list) and all(text == "" or kind(str(text)) in KINDS for text in given)
+        if not known or len(given) != size:
             raise StoreError(
                 f"{self.root / INFO}: {QUANTITIES} of {key} must give each of its {size} numbers a kind "
                 f"({', '.join(KINDS)}) and a group, or an empty text: {given}"
