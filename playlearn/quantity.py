@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
+Bounds = tuple[tuple[float, float] | None, ...]  # lowest and highest of each dimension; () where nobody said
 KINDS = ("length", "direction", "angle", "quaternion", "binary", "plain")
 TURN = 2 * np.pi
 FINEST = 1e-4  # SI units: a declared dimension that stays within so small a range has not moved
@@ -45,7 +46,7 @@ class Quantities:
 
     state: tuple[str, ...] = ()
     achieved: tuple[str, ...] = ()
-    action_bounds: tuple[tuple[float, float] | None, ...] = ()
+    action_bounds: Bounds = ()
 
     def of(self, name: str, width: int) -> tuple[str, ...]:
         """(width,) the declarations of `state` or `achieved`; "" throughout where nobody said."""
@@ -85,6 +86,15 @@ def pools(declared: Sequence[str]) -> list[list[int]]:
     """The dimensions that compare, by pool; every dimension is in one, by itself where nothing compares with it."""
     alone = ("", "quaternion")  # of an orientation, no part compares with another
     return list(_by_text([f"{text} {k}" if kind(text) in alone else text for k, text in enumerate(declared)]).values())
+
+
+def within(values: Array, bounds: Bounds) -> Array:
+    """(..., D) clipped to their bounds, where they have any."""
+    if not bounds:
+        return values
+    low, high = zip(*(pair or (-np.inf, np.inf) for pair in bounds), strict=True)
+    clipped: Array = np.clip(values, np.array(low, values.dtype), np.array(high, values.dtype))
+    return clipped
 
 
 def subset(declared: Sequence[str], columns: Sequence[int]) -> tuple[str, ...]:

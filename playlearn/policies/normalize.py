@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from playlearn.batch import Statistics
 from playlearn.policies.spec import PolicySpec
-from playlearn.quantity import FINEST, TURN, Quantities, difference, pools, spellings
+from playlearn.quantity import FINEST, TURN, Bounds, Quantities, difference, pools, spellings
 
 LEAST_USED = 0.25  # of the largest share that any bounded action takes of its range
 
@@ -85,7 +85,7 @@ def _in_own_units(given: Statistics) -> Statistics:
     return Statistics(given.mean, np.where(varies, given.std, np.where(sizes > 0, sizes, least)))
 
 
-def _floored(given: Statistics, bounds: Sequence[tuple[float, float] | None]) -> Statistics:
+def _floored(given: Statistics, bounds: Bounds) -> Statistics:
     """With at least `LEAST_USED` times the largest share of its range for each bounded action.
 
     An action that is hardly used (the tilt of a gripper that stays upright) would otherwise weigh as much in the loss

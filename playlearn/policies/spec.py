@@ -6,7 +6,7 @@ from typing import Any, Literal, Protocol
 
 from playlearn.errors import CheckpointError, UsageError
 from playlearn.layout import ObjectLayout
-from playlearn.quantity import Quantities
+from playlearn.quantity import Bounds, Quantities
 
 
 class Named(Protocol):
@@ -60,7 +60,7 @@ class PolicySpec:
         )
 
     @property
-    def bounds(self) -> tuple[tuple[float, float] | None, ...]:
+    def bounds(self) -> Bounds:
         """The lowest and highest value of each number it predicts; () where none is known."""
         return self.quantities.action_bounds if self.predicts == "actions" else ()
 

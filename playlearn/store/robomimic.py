@@ -137,7 +137,13 @@ class RobomimicFile(Demonstrations):
         return tuple(names)
 
     def _quantities(self, arguments: Mapping[str, Any], actions: int) -> Quantities:
-        """What robosuite's own keys and controllers say; nothing is known of another simulator's."""
+        """What robosuite's own keys and controllers say, or `export robomimic` wrote; nothing is known of others."""
+        written = (arguments.get("playlearn") or {}).get("quantities")
+        if written is not None:
+            own = Quantities.from_dict(written)
+            of = ((own.state, self._state), (own.achieved, self._achieved))  # other keys may have been asked for
+            known = [given if len(given) == len(self._parts(keys)) else () for given, keys in of]
+            return Quantities(*known, action_bounds=own.action_bounds)
         if arguments.get("type") != ROBOSUITE:
             return Quantities()
         state, achieved = (tuple(map(_quantity, self._parts(keys))) for keys in (self._state, self._achieved))

@@ -7,8 +7,9 @@ a gripper gets to -1 .. 1.
 from collections.abc import Mapping
 from typing import Any
 
+from playlearn.quantity import Bounds
+
 GRIPPER = -1.0, 1.0  # of a gripper, which follows the arm: only where the arm has the same are all known
-Bounds = tuple[tuple[float, float] | None, ...]
 
 
 def action_bounds(settings: Mapping[str, Any], actions: int) -> Bounds:

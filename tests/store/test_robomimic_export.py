@@ -16,7 +16,7 @@ from playlearn.store import NativeStore, StoreSpec, robomimic_export
 from playlearn.store.importing import import_recordings
 from playlearn.store.robomimic import RobomimicConfig, RobomimicFile
 from playlearn.store.robomimic_export import export_robomimic
-from tests.synthetic import make_episode
+from tests.synthetic import QUANTITIES, make_episode
 
 h5py = pytest.importorskip("h5py", reason="the extra `robomimic` is not installed")
 CAMERAS = {"front": (16, 24)}
@@ -41,6 +41,7 @@ def test_an_export_reads_back_without_the_last_step(store: NativeStore, tmp_path
     back = import_recordings(RobomimicFile(tmp_path / "a.hdf5"), tmp_path / "back")
     assert back.indices().tolist() == [1, 2, 10]  # the numbers they were recorded under, in numeric order
     assert back.spec.fps == 20
+    assert back.spec.quantities == store.spec.quantities == QUANTITIES
     assert [back.meta(i).ended for i in range(3)] == ["success", "length", "length"]
     for i in range(3):
         mine, its = store.read(i), back.read(i)

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 
 from playlearn.episode import IMAGES
 from playlearn.errors import StoreError
-from playlearn.quantity import KINDS, kind
+from playlearn.quantity import KINDS, Bounds, kind
 
 INFO = "meta/info.json"
 TASKS = "meta/tasks.parquet"
@@ -119,7 +119,7 @@ class DatasetMetadata:
             )
         return tuple(map(str, given))
 
-    def bounds(self, key: str) -> tuple[tuple[float, float] | None, ...]:
+    def bounds(self, key: str) -> Bounds:
         """The lowest and highest value of each dimension of a feature, None without; () where nobody said.
 
         Raises:
