@@ -82,7 +82,12 @@ def thresholds(
     values = []
     for name, text in zip(names, declared, strict=True):
         value = _given(patterns, name, text, what)
-        if value is None or not value > 0:
+        if value is None:
+            raise UsageError(
+                f"settling.{what}: {name} needs a threshold, for nobody declared what it measures: give one, or "
+                "declare it where the environment makes its spec (`quantities`)"
+            )
+        if not value > 0:
             raise UsageError(f"settling.{what}: {name} needs a threshold above 0, got {value}")
         values.append(value)
     return np.array(values, np.float64)

@@ -142,8 +142,8 @@ class RobomimicFile(Demonstrations):
         if written is not None:
             own = Quantities.from_dict(written)
             of = ((own.state, self._state), (own.achieved, self._achieved))  # other keys may have been asked for
-            known = [given if len(given) == len(self._parts(keys)) else () for given, keys in of]
-            return Quantities(*known, action_bounds=own.action_bounds)
+            state, achieved = (given if len(given) == len(self._parts(keys)) else () for given, keys in of)
+            return Quantities(state, achieved, own.action_bounds)
         if arguments.get("type") != ROBOSUITE:
             return Quantities()
         state, achieved = (tuple(map(_quantity, self._parts(keys))) for keys in (self._state, self._achieved))

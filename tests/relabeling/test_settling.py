@@ -119,7 +119,7 @@ def test_thresholds_match_patterns_and_the_last_counts() -> None:
     assert found.tolist() == [1.0, 2.0, 3.0]
 
 
-@pytest.mark.parametrize("patterns", [{"red.*": 0.1}, {"default": 0.0}, {"default": -1.0}])
+@pytest.mark.parametrize("patterns", [{"red.*": 0.1}, {"default": 0.0}, {"default": -1.0}, {"default": None}])
 def test_a_name_without_a_threshold_is_refused(patterns: dict[str, float | None]) -> None:
     with pytest.raises(UsageError, match=r"settling\.rest: lamp\.on"):
         thresholds({"red.x": 0.1, **patterns}, ("red.x", "lamp.on"), ("", ""), "rest")
