@@ -5,10 +5,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Self
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from playlearn.episode import Array
+from playlearn.quantity import ROUNDING
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -70,7 +73,12 @@ class Batch(Inputs):
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """Of one recorded vector, each (D,) float32; std is 1 where a dimension does not vary."""
+    """Of one recorded vector, each (D,) float32; std is 0, or a rounding error, where a dimension does not vary."""
 
     mean: Array
     std: Array
+
+    @property
+    def varies(self) -> NDArray[np.bool_]:
+        """(D,) whether a dimension varies by more than float32 rounds it, whatever its unit."""
+        return np.asarray(np.asarray(self.std) > ROUNDING * np.abs(self.mean))

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from playlearn.errors import EpisodeError
+from playlearn.quantity import Quantities
 
 Array = NDArray[Any]
 IMAGES = "observation.images."
@@ -89,6 +90,7 @@ class EpisodeMeta:
     split: "train" or "val" where the recording fixes it; "" leaves it to the episode's number.
     verbatim: `skills` are the recorder's own words, in which nothing is an annotation.
     success: whether its task was achieved; None where that is not known.
+    quantities: what the dimensions of `state` and `achieved` measure, and what bounds the actions.
     """
 
     environment: Mapping[str, Any]
@@ -108,6 +110,7 @@ class EpisodeMeta:
     split: str = ""
     verbatim: bool = False
     success: bool | None = None
+    quantities: Quantities = field(default_factory=Quantities)
 
     def annotations(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
         """The skill and the marks behind each value of `skill`; one without a name where there are none."""
@@ -158,11 +161,7 @@ class Episode:
             _check(name, value, dtype, steps + extra, width)
         if self.reward is not None:
             _check(REWARD, self.reward, np.float64, steps, None)
-        for kind in ("state_names", "achieved_names", "action_names"):
-            names = getattr(self.meta, kind)
-            if len(set(names)) < len(names):
-                twice = next(name for name in names if names.count(name) > 1)
-                raise EpisodeError(f"{kind} has {twice!r} twice: what its dimensions are called must differ")
+        self._check_names()
         for camera, frames in self.images.items():
             _check(IMAGES + camera, frames, np.uint8, steps + 1, None)
             if frames.ndim != 4 or frames.shape[3] != 3:
@@ -175,6 +174,19 @@ class Episode:
         object.__setattr__(self, "images", MappingProxyType(dict(self.images)))
         for value in self.arrays().values():
             value.flags.writeable = False
+
+    def _check_names(self) -> None:
+        """Raises EpisodeError where two dimensions have one name, or not all of them are declared."""
+        meta, given = self.meta, self.meta.quantities
+        parts = ("state", meta.state_names), ("achieved", meta.achieved_names), ("action", meta.action_names)
+        for part, names in parts:
+            if len(set(names)) < len(names):
+                twice = next(name for name in names if names.count(name) > 1)
+                raise EpisodeError(f"{part}_names has {twice!r} twice: what its dimensions are called must differ")
+            field_name = "action_bounds" if part == "action" else part
+            declared = getattr(given, field_name)
+            if declared and len(declared) != len(names):
+                raise EpisodeError(f"meta.quantities.{field_name} declares {len(declared)} of {len(names)} numbers")
 
     def __len__(self) -> int:
         """T, the number of actions."""

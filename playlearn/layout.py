@@ -1,9 +1,11 @@
 """What the names of a vector say about its dimensions. Nothing else in playlearn takes such a name apart.
 
-name         object   part    quantity
+name         object   part    axis
 red.x        red      x       x
 nut.peg.x    nut      peg.x   x
 lamp         lamp             lamp
+
+What a dimension measures is not read off its name, but declared (see `quantity.py`).
 """
 
 from collections.abc import Sequence
@@ -16,7 +18,7 @@ from playlearn.errors import UsageError
 
 @dataclass(frozen=True)
 class ObjectLayout:
-    """The dimensions of a vector (G,), grouped by object, by quantity and by place.
+    """The dimensions of a vector (G,), grouped by object and by place.
 
     names: (G,) one for each dimension.
     """
@@ -34,17 +36,16 @@ class ObjectLayout:
         return tuple(name.partition(".")[2] for name in self.names)
 
     @cached_property
-    def quantities(self) -> tuple[str, ...]:
-        """(G,) what each dimension measures, whatever the object: what follows the last dot, or the whole name."""
+    def axes(self) -> tuple[str, ...]:
+        """(G,) the axis of each dimension, whatever the object: what follows the last dot, or the whole name."""
         return tuple(name.rpartition(".")[2] for name in self.names)
 
     def objects(self) -> dict[str, list[int]]:
         """Object -> its dimensions, both in the order of the names."""
-        return _grouped(self.owners)
-
-    def by_quantity(self) -> dict[str, list[int]]:
-        """Quantity -> the dimensions that measure it, which therefore compare."""
-        return _grouped(self.quantities)
+        groups: dict[str, list[int]] = {}
+        for k, owner in enumerate(self.owners):
+            groups.setdefault(owner, []).append(k)
+        return groups
 
     def having(self, parts: Sequence[str]) -> dict[str, tuple[int, ...]]:
         """Object -> where these parts of it stand; only objects that have them all."""
@@ -66,10 +67,3 @@ class ObjectLayout:
             if self.names and not any(fnmatchcase(name, pattern) for name in self.names):
                 raise UsageError(f"goal_names: {pattern!r} matches none of: {', '.join(self.names)}")
         return [k for k, name in enumerate(self.names) if any(fnmatchcase(name, pattern) for pattern in patterns)]
-
-
-def _grouped(labels: Sequence[str]) -> dict[str, list[int]]:
-    groups: dict[str, list[int]] = {}
-    for k, label in enumerate(labels):
-        groups.setdefault(label, []).append(k)
-    return groups

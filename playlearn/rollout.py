@@ -151,6 +151,7 @@ class _Take:
             renderer=self.environment.renderer() if self.cameras else "",
             versions=packages,
             ended=ended,
+            quantities=spec.quantities,
         )
         return Episode(
             meta=meta,

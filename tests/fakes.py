@@ -13,6 +13,7 @@ import numpy as np
 
 from playlearn.episode import Array, Decision, Goal, Observation
 from playlearn.errors import ActionError, SimulationDiverged
+from playlearn.quantity import Quantities
 from playlearn.sim.environment import CameraConfig, Environment, EnvironmentConfig, EnvironmentSpec, Task
 
 REACH = 0.12
@@ -48,6 +49,11 @@ class PointEnv:
         cameras=("front", "wrist"),
         fps=FPS,
         controller={"type": "VELOCITY"},
+        quantities=Quantities(
+            state=("length x", "length y", "plain grip"),
+            achieved=("length x", "length y", "binary lamp"),
+            action_bounds=((-1.0, 1.0),) * 3,
+        ),
     )
 
     def __init__(self, config: PointConfig) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from playlearn.episode import Array, Episode, EpisodeMeta
+from playlearn.quantity import own_quantities
 from playlearn.store import NativeStore, StoreSpec
 
 STATE = ("eef.x", "eef.y", "eef.z", "gripper.opening")
@@ -14,6 +15,7 @@ ACHIEVED = ("red.x", "red.y", "red.z", "red.c", "red.s", "drawer.opening", "lamp
 ACTION = ("dx", "dy", "dz", "gripper")
 SKILLS = ("push red", "open drawer", "flip lamp")
 FPS = 20.0
+QUANTITIES = own_quantities(STATE, ACHIEVED, len(ACTION))
 ENVIRONMENT = {"type": "synthetic", "objects": 3}
 
 
@@ -51,6 +53,7 @@ def make_episode(
         task=task,
         ended=ended,
         success=success,
+        quantities=QUANTITIES,
     )
     return Episode(
         meta=meta,

@@ -8,17 +8,15 @@ from playlearn.layout import ObjectLayout
 NAMES = ("red.x", "red.c", "lamp", "blue.x", "nut.peg.x", "red.on")
 
 
-def test_every_dimension_is_of_one_object_and_of_one_quantity() -> None:
-    layout = ObjectLayout(NAMES)
-    for groups in (layout.objects(), layout.by_quantity()):
-        assert sorted(k for own in groups.values() for k in own) == list(range(len(NAMES)))
+def test_every_dimension_is_of_one_object() -> None:
+    assert sorted(k for own in ObjectLayout(NAMES).objects().values() for k in own) == list(range(len(NAMES)))
 
 
-def test_an_object_is_what_stands_before_the_first_dot_and_a_quantity_what_stands_after_the_last() -> None:
+def test_an_object_is_what_stands_before_the_first_dot_and_an_axis_what_stands_after_the_last() -> None:
     layout = ObjectLayout(NAMES)
     assert layout.objects() == {"red": [0, 1, 5], "lamp": [2], "blue": [3], "nut": [4]}
     assert layout.parts == ("x", "c", "", "x", "peg.x", "on")
-    assert layout.by_quantity() == {"x": [0, 3, 4], "c": [1], "lamp": [2], "on": [5]}
+    assert layout.axes == ("x", "c", "lamp", "x", "x", "on")
 
 
 def test_only_what_has_x_y_and_z_has_a_place() -> None:

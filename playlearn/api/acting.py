@@ -71,7 +71,8 @@ def make_actor(
     images = {} if missing else env.observe(policy.cameras).images
     policy.check(env.spec, {camera: (image.shape[0], image.shape[1]) for camera, image in images.items()})
     steps = max(1, policy.config.chunk // 2) if n_action_steps is None else n_action_steps
-    return PolicyActor(policy, n_action_steps=steps, guidance=guidance, goal=goal)
+    bounds = env.spec.quantities.action_bounds
+    return PolicyActor(policy, n_action_steps=steps, guidance=guidance, goal=goal, bounds=bounds)
 
 
 def make_goal(env: "Environment", cameras: Sequence[str] | None = None) -> "Goal":

@@ -48,6 +48,7 @@ def store_spec(environment: Environment, cameras: Sequence[str] = ()) -> StoreSp
         achieved_names=spec.achieved_names,
         action_names=spec.action_names,
         fps=spec.fps,
+        quantities=spec.quantities,
         cameras={name: (int(image.shape[0]), int(image.shape[1])) for name, image in images.items()},
     )
 

@@ -17,6 +17,7 @@ from playlearn.data.stream import Examples, Indices
 from playlearn.episode import IMAGES, Array
 from playlearn.errors import StoreError, UsageError
 from playlearn.layout import ObjectLayout
+from playlearn.quantity import difference
 from playlearn.relabeling import (
     UNIFORMS,
     GoalSamplerConfig,
@@ -206,8 +207,8 @@ class PlayDataset(Examples):
         """(n, G) float32: `achieved` of the next settled moment less that of step t."""
         row = self.table.rows[episode]
         settled = self.table.moments[self.table.following(episode, t)]
-        change: Array = self.achieved[row + settled] - self.achieved[row + t]
-        return change
+        measured = self.store.spec.quantities.achieved
+        return difference(self.achieved[row + settled], self.achieved[row + t], measured)
 
     def _counts(self, episode: Indices, t: Indices, goal_row: Indices) -> NDArray[np.bool_]:
         """(n,) whether the change ahead counts, see `DataConfig.allow_detours`."""

@@ -145,6 +145,8 @@ def _check_same(own: PlayDataset, other: Store) -> None:
     seen = (*own.config.cameras, *own.config.goal_cameras)
     named = ("state_names", "achieved_names", "action_names", "fps")
     parts: list[tuple[str, Any, Any]] = [(name, getattr(mine, name), getattr(its, name)) for name in named]
+    sides = mine.quantities, its.quantities
+    parts += [(f"declaration of {name}", *(getattr(side, name) for side in sides)) for name in vars(mine.quantities)]
     sizes = own.store.cameras(), other.cameras()
     parts += [(f"size of {camera}", sizes[0].get(camera), sizes[1].get(camera)) for camera in seen]
     apart = [f"{name} ({_differ(one, another)})" for name, one, another in parts if one != another]

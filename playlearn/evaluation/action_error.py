@@ -17,7 +17,9 @@ EXAMPLES = 2048  # of held-out play
 
 @torch.no_grad()
 def action_errors(run: Path) -> dict[str, Any]:
-    """Mean error of the first action of a chunk, in units of the action, by the skill of that step of held-out play.
+    """Mean error of the first action of a chunk, by the skill of that step of held-out play.
+
+    An error is the mean over the action's numbers, each as a share of its spread in the data.
 
     The play is the validation split of the run's store. The skill with the largest error comes first.
     """
@@ -41,7 +43,8 @@ def action_errors(run: Path) -> dict[str, Any]:
     drawn = np.random.default_rng(0).permutation(len(dataset))[:EXAMPLES]
     for part in np.array_split(drawn, max(1, len(drawn) // 256)):
         batch = dataset.batch(0, part)
-        error = (policy.act(batch, torch.Generator().manual_seed(0)) - batch.action)[:, 0].abs().mean(dim=1)  # (B,)
+        chunk = policy.act(batch, torch.Generator().manual_seed(0))
+        error = policy.action_error(chunk, batch.action)[:, 0]  # (B,)
         for value, i, t in zip(error.tolist(), *dataset.where(part), strict=True):
             skill = store.array(int(i), "skill")[t]
             name = annotations[i][skill][0]

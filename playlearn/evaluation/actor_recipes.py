@@ -136,7 +136,12 @@ class TrainedRecipe:
         policy.check(environment.spec, {camera: (image.shape[0], image.shape[1]) for camera, image in images.items()})
         _check_controller(policy.spec.controller, environment.spec.controller)
         return PolicyActor(
-            policy, n_action_steps=self._n_action_steps(policy), guidance=self.guidance, name=self.name, goal=self.goal
+            policy,
+            n_action_steps=self._n_action_steps(policy),
+            guidance=self.guidance,
+            name=self.name,
+            goal=self.goal,
+            bounds=environment.spec.quantities.action_bounds if self.predicts == "actions" else (),
         )
 
     def describe(self) -> dict[str, Any]:

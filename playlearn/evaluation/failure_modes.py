@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from playlearn.episode import Array
 from playlearn.evaluation.objects import misplaced
 from playlearn.layout import ObjectLayout
+from playlearn.quantity import difference
 from playlearn.relabeling import SettlingConfig
 from playlearn.relabeling.robot import RobotConfig
 from playlearn.relabeling.settling import thresholds
@@ -95,7 +96,7 @@ def classify_failure(
     """
     names = env.spec.achieved_names
     columns = ObjectLayout(names).objects()
-    change = thresholds(config.settling.change, names, "change")
+    change = _change(env, config)
     start, final = achieved[0].astype(np.float64), achieved[-1].astype(np.float64)
     goal = goal.astype(np.float64)
     to_change = _changed_objects(env, start, goal, change)
@@ -103,7 +104,7 @@ def classify_failure(
     targets = [name for name in columns if name in to_change and name in off] or [
         name for name in columns if name in to_change
     ]
-    moved = {name for name, k in columns.items() if (np.abs(achieved - start)[:, k] > change[k]).any()}
+    moved = {name for name, k in columns.items() if (_apart(env, achieved, start)[:, k] > change[k]).any()}
     effector = _EndEffector.of(env, proprio, config)
     grasps = [grasp for name in targets for grasp in effector.grasps(achieved, names, columns[name], change)]
     held = [grasp for grasp in grasps if grasp.held]
@@ -146,16 +147,27 @@ def classify_failure(
 def uses_grasp(env: Environment, achieved: Array, proprio: Array, goal: Array, config: FailureModesConfig) -> bool:
     """Whether in this successful attempt a target object moved with the closed gripper."""
     names = env.spec.achieved_names
-    change = thresholds(config.settling.change, names, "change")
+    change = _change(env, config)
     effector, columns = _EndEffector.of(env, proprio, config), ObjectLayout(names).objects()
     targets = _changed_objects(env, achieved[0].astype(np.float64), goal.astype(np.float64), change)
     return any(grasp.held for name in targets for grasp in effector.grasps(achieved, names, columns[name], change))
 
 
+def _change(env: Environment, config: FailureModesConfig) -> Array:
+    """(G,) how far each dimension moves before it has changed."""
+    names = env.spec.achieved_names
+    return thresholds(config.settling.change, names, env.spec.quantities.of("achieved", len(names)), "change")
+
+
+def _apart(env: Environment, one: Array, other: Array) -> Array:
+    """(..., G) how far two sets of achieved goals are apart."""
+    return np.asarray(np.abs(difference(one, other, env.spec.quantities.achieved)))
+
+
 def _changed_objects(env: Environment, start: Array, goal: Array, change: Array) -> set[str]:
     """The objects that the goal shows elsewhere."""
     columns = ObjectLayout(env.spec.achieved_names).objects()
-    return {name for name, k in columns.items() if (np.abs(goal - start)[k] > change[k]).any()} | set(
+    return {name for name, k in columns.items() if (_apart(env, goal, start)[k] > change[k]).any()} | set(
         misplaced(env, start, goal)
     )
 
@@ -198,14 +210,14 @@ class _EndEffector:
         names = env.spec.state_names
         gripper, arm = config.robot.columns(names)
         opening = proprio[:, gripper[0]].astype(np.float64) if gripper else np.zeros(len(proprio))
-        axes = ObjectLayout([names[k] for k in arm]).quantities
+        axes = ObjectLayout([names[k] for k in arm]).axes
         opening_change = max(config.opening_change, np.ptp(opening) / 4)
         closings = tuple(_closings(opening.tolist(), opening_change))
         return cls(proprio[:, arm].astype(np.float64), axes, opening, closings, env.spec.fps, config.grasp_radius)
 
     def _positions(self, achieved: Array, names: Sequence[str], columns: Sequence[int]) -> tuple[Array, Array] | None:
         """(T+1, d) of end effector and object along their common axes; None without a common axis."""
-        axes = ObjectLayout(names).quantities
+        axes = ObjectLayout(names).axes
         shared = [(self.axes.index(axes[k]), k) for k in columns if axes[k] in self.axes]
         if not shared:
             return None
@@ -223,7 +235,7 @@ class _EndEffector:
         if positions is None:
             return []
         effector, target = positions
-        axes = ObjectLayout(names).quantities
+        axes = ObjectLayout(names).axes
         threshold = max(change[k] for k in columns if axes[k] in self.axes)
         found = []
         for begin, end in self.closings:

@@ -4,6 +4,7 @@ import numpy as np
 
 from playlearn.episode import Array
 from playlearn.layout import ObjectLayout
+from playlearn.quantity import difference
 from playlearn.sim.environment import Environment
 
 
@@ -12,10 +13,10 @@ def misplaced(environment: Environment, achieved: Array, goal: Array, tolerances
 
     tolerances: how many of the environment's own tolerances an object may be off.
     """
-    found = []
+    found, off = [], difference(achieved, goal, environment.spec.quantities.achieved)
     for name, columns in ObjectLayout(environment.spec.achieved_names).objects().items():
         only = np.array(goal)
-        only[columns] += (achieved[columns] - goal[columns]) / tolerances
+        only[columns] += off[columns] / tolerances
         if not environment.reached(only, goal):
             found.append(name)
     return found

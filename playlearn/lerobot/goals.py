@@ -39,6 +39,7 @@ from playlearn.store.lerobot.content import (
     SUCCESS,
     Entry,
     Features,
+    declared,
     flags,
     image_features,
     steps,
@@ -140,7 +141,14 @@ class Windows:
         spec = self.store.spec
         goal, proprio = (tuple(f"goal.{name}" for name in own) for own in (spec.achieved_names, spec.state_names))
         seen = {STATE: spec.state_names, ACHIEVED: (*spec.achieved_names, *goal), ACTION: spec.action_names}
-        made = vectors({**seen, GOAL_STATE: goal, GOAL_PROPRIO: proprio})
+        given = spec.quantities
+        measured = {
+            STATE: given.state,
+            ACHIEVED: 2 * given.achieved,
+            GOAL_STATE: given.achieved,
+            GOAL_PROPRIO: given.state,
+        }
+        made = declared(vectors({**seen, GOAL_STATE: goal, GOAL_PROPRIO: proprio}), measured, given)
         sizes = self.store.cameras()
         goals = {f"goal_{camera}": sizes[camera] for camera in self.cameras}
         return made | flags(INTERVENTION, SUCCESS) | image_features(sizes | goals)

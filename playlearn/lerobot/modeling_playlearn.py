@@ -15,9 +15,10 @@ import torch
 from lerobot.policies.pretrained import PreTrainedPolicy
 from torch import Tensor
 
-from playlearn.batch import Batch, Inputs, Statistics
+from playlearn.batch import Batch, Inputs
 from playlearn.config import to_dict
 from playlearn.data import check_finite
+from playlearn.data.statistics import statistics_of
 from playlearn.episode import IMAGES, Array, Goal, Observation
 from playlearn.errors import TrainingDiverged, UsageError
 from playlearn.lerobot.configuration_playlearn import ACHIEVED, STATE, PlaylearnConfig, features
@@ -25,7 +26,8 @@ from playlearn.lerobot.goals import GOAL_IMAGES, GOAL_PROPRIO, GOAL_STATE
 from playlearn.policies import Policy, PolicySpec
 from playlearn.policies.checkpoint import first_not_finite
 from playlearn.policies.execution import PolicyActor
-from playlearn.store.lerobot.metadata import load_metadata
+from playlearn.quantity import Quantities
+from playlearn.store.lerobot.metadata import DatasetMetadata, load_metadata
 from playlearn.training.divergence import not_finite
 
 FRAME = ("episode_index", "frame_index")
@@ -195,24 +197,25 @@ def _fresh(config: PlaylearnConfig, stats: Mapping[str, Any] | None, meta: Any) 
     names = {key: dataset.names(key) for key in (STATE, ACHIEVED, GOAL_STATE, "action") if key in dataset.features}
     num_achieved = len(names.get(GOAL_STATE, ())) if ACHIEVED in names else 0
     sizes = {one.key.removeprefix(IMAGES): one.size for one in dataset.cameras.values() if one.key.startswith(IMAGES)}
-    action = {name: np.asarray(stats["action"][name], np.float64) for name in ("min", "max")}
     spec = PolicySpec(
         state_names=names[STATE],
         achieved_names=names.get(ACHIEVED, ())[:num_achieved],
         action_names=names["action"],
         fps=float(meta.fps),
         cameras={name: size for name, size in sizes.items() if not name.startswith("goal_")},
-        bounded=bool(action["min"].min() >= -1 and action["max"].max() <= 1),
+        quantities=_quantities(dataset, num_achieved),
     )
-    widths = {"state": (STATE, len(spec.state_names)), "achieved": (ACHIEVED, num_achieved), "action": ("action", None)}
+    given, nothing = spec.quantities, np.zeros((1, 0), np.float32)
+    achieved = _rows(meta, ACHIEVED)[:, :num_achieved] if ACHIEVED in names else nothing
+    labels = _rows(meta, "action")
     statistics = {
-        part: Statistics(*(np.asarray(stats[key][name], np.float32)[:width] for name in ("mean", "std")))
-        for part, (key, width) in widths.items()
-        if key in stats
+        "state": statistics_of(_rows(meta, STATE), given.state),
+        "achieved": statistics_of(achieved, given.achieved),
+        "action": statistics_of(labels),
     }
-    for part, own in statistics.items():
-        check_finite(np.stack([own.mean, own.std]), names[widths[part][0]], f"{meta.root}: mean and std of {part}")
-    statistics.setdefault("achieved", Statistics(np.zeros(0, np.float32), np.ones(0, np.float32)))
+    for key in (STATE, ACHIEVED, "action"):
+        if key in names:
+            check_finite(_rows(meta, key), names[key], f"{meta.root}: {key}")
     policy = config.policy().build(spec, statistics, config.seed)
     lacks = [key for key in features(spec, policy.config, training=True)[0] if key not in meta.features]
     if lacks:
@@ -220,13 +223,18 @@ def _fresh(config: PlaylearnConfig, stats: Mapping[str, Any] | None, meta: Any) 
             f"the policy reads {', '.join(lacks)}, which the dataset lacks: write it with `playlearn export lerobot "
             "STORE OUT --goals`, or give another recipe"
         )
-    policy.fit_action_statistics(torch.from_numpy(_labels(meta)))
+    policy.fit_action_statistics(torch.from_numpy(labels))
     return policy
 
 
-def _labels(meta: Any) -> Array:
-    """(n, A) every action of a dataset."""
-    column = pq.read_table(meta.root / "data", columns=["action"])["action"].combine_chunks()
+def _quantities(dataset: DatasetMetadata, num_achieved: int) -> Quantities:
+    """What the dataset declares; of `achieved` the part that is not the goal."""
+    return Quantities(dataset.quantities(STATE), dataset.quantities(ACHIEVED)[:num_achieved], dataset.bounds("action"))
+
+
+def _rows(meta: Any, key: str) -> Array:
+    """(n, D) every row of a column of numbers of a dataset."""
+    column = pq.read_table(meta.root / "data", columns=[key])[key].combine_chunks()
     return np.asarray(column.flatten(), np.float32).reshape(len(column), -1)
 
 

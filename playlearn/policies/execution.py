@@ -12,6 +12,7 @@ from playlearn.batch import Inputs
 from playlearn.episode import Array, Decision, Goal, Observation
 from playlearn.errors import UsageError
 from playlearn.policies.policy import Policy
+from playlearn.quantity import Bounds, within
 
 
 @dataclass
@@ -61,6 +62,8 @@ class PolicyActor:
         weight exp(-m i), i = 0 for the oldest (Zhao et al. 2023); `n_action_steps` is then 1.
     name: of the actor, in messages and results.
     goal: whether it reads goal states or goal images, for a policy that reads either (None: the policy's first choice).
+    bounds: (A,) what the environment bounds its actions by, to which they are clipped; the play that the policy learned
+        from may have known none.
 
     The actions in one environment do not depend on the others: each has its own generator, and a plan is always
     computed for all K rows, so that the arithmetic of a row is the same.
@@ -74,13 +77,14 @@ class PolicyActor:
         ensemble: float | None = None,
         name: str = "policy",
         goal: str | None = None,
+        bounds: Bounds = (),
     ) -> None:
         chunk = policy.config.chunk
         if not 1 <= n_action_steps <= chunk:
             raise UsageError(
                 f"n_action_steps must be between 1 and the policy's chunk of {chunk}, got {n_action_steps}"
             )
-        self.name = name
+        self.name, self._bounds = name, bounds
         self.policy = policy.eval()
         self.n_action_steps = n_action_steps if ensemble is None else 1
         self.guidance, self.ensemble = guidance, ensemble
@@ -144,7 +148,7 @@ class PolicyActor:
                 row.history.append(observation)
         if due:
             self._plan(due)
-        return [Decision(action=self._action(row)) for row in self._rows]
+        return [Decision(action=within(self._action(row), self._bounds)) for row in self._rows]
 
     def std(self, samples: int, generators: Sequence[torch.Generator]) -> Array:
         """(K,) the standard deviation of chunks sampled for the last observations: how uncertain the policy is.

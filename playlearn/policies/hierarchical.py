@@ -18,6 +18,7 @@ from playlearn.episode import Array, Decision, Goal, Observation
 from playlearn.errors import UsageError
 from playlearn.layout import ObjectLayout
 from playlearn.policies.execution import PolicyActor
+from playlearn.quantity import difference
 
 NEAR = 0.3  # of a dimension's std in play: some 4 cm of a block's position on a table
 
@@ -48,6 +49,7 @@ class SubgoalActor:
         self._subgoals: list[Array | None] = []
         self._goals: Sequence[Goal | None] = ()
         self._objects = list(ObjectLayout(low_level.policy.spec.achieved_names).objects().values())
+        self._declared = low_level.policy.spec.quantities.achieved
         self._std: Array = low_level.policy.normalizer.get_buffer("achieved_std").cpu().numpy()
 
     @property
@@ -95,7 +97,10 @@ class SubgoalActor:
         poses = [now] if goal is None or self._high.reads == "image" else [now, goal.achieved]
         snapped = proposed.copy()
         for own in self._objects:
-            off = [float(np.max(np.abs(pose - proposed)[own] / self._std[own])) for pose in poses]
+            off = [
+                float(np.max(np.abs(difference(pose, proposed, self._declared))[own] / self._std[own]))
+                for pose in poses
+            ]
             nearest = int(np.argmin(off))
             if off[nearest] <= NEAR:
                 snapped[own] = poses[nearest][own]

@@ -2,6 +2,7 @@
 
 import fnmatch
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from itertools import chain
@@ -17,12 +18,12 @@ from playlearn.errors import CheckpointError, MissingRunError, PlaylearnError, U
 from playlearn.policies.checkpoint import first_not_finite
 from playlearn.policies.encoders import EncoderConfig, StateConfig
 from playlearn.policies.heads import DeterministicConfig, Generators, Guidance, HeadConfig
-from playlearn.policies.normalize import Normalizer, pooled
+from playlearn.policies.normalize import Normalizer, scaled
 from playlearn.policies.spec import Named, PolicySpec
 from playlearn.policies.trunks import TransformerConfig, TrunkConfig
 
 WEIGHTS, DESCRIPTION = "policy.safetensors", "policy.json"
-FORMAT = 1
+FORMAT = 2
 _NOTHING = torch.empty(0)
 _NO_ESTIMATES = "this policy makes no pose estimates: train it from images with encoder.state_supervision above 0"
 
@@ -96,12 +97,9 @@ class Policy(nn.Module):
             "action": len(spec.action_names),
         }
         if statistics is None:
-            self.normalizer = Normalizer.identity(widths)
+            self.normalizer = Normalizer.identity(widths, spec.quantities)
         else:
-            names = {"state": spec.state_names, "achieved": spec.achieved_names}
-            # an action that hardly varies must not weigh as much as the others; of a change, all weigh the same
-            least = {} if spec.clipped else {"min_action_std": 0.0}
-            self.normalizer = Normalizer(pooled(statistics, names), **least)
+            self.normalizer = Normalizer(scaled(statistics, spec), spec.quantities)
         width = config.trunk.width
         self.encoder = config.encoder.build(spec, width, fetch=fetch)
         self.trunk = config.trunk.build(self.encoder.goal_tokens + config.history * self.encoder.step_tokens)
@@ -218,7 +216,7 @@ class Policy(nn.Module):
     def act(
         self, inputs: Inputs, generator: Generators, guidance: float | None = None, *, mode: bool = False
     ) -> Tensor:
-        """(B, H, A) float32 on the CPU, in units of the environment; actions clipped to [-1, 1].
+        """(B, H, A) float32 on the CPU, in units of the environment; actions clipped to their bounds.
 
         inputs: on any device.
         generator: one, or one a row, which makes a row independent of the others.
@@ -234,7 +232,12 @@ class Policy(nn.Module):
             guide = Guidance(self._features(normal, ~keep, None)[0], weight)
         chunk = self.head.mode(features, guide) if mode else self.head.sample(features, generator, guide)
         chunk = self.normalizer.restore("action", chunk)
-        return (chunk.clamp(-1, 1) if self.spec.clipped else chunk).float().cpu()
+        return self._within_bounds(chunk).float().cpu()
+
+    def action_error(self, predicted: Tensor, action: Tensor) -> Tensor:
+        """(..., A) and (..., A) in units of the environment -> (...): mean of shares of the spread in the data."""
+        std = self.normalizer.get_buffer("action_std").cpu()
+        return ((predicted - action) / std).abs().mean(dim=-1)
 
     @torch.inference_mode()
     def estimate_achieved(self, inputs: Inputs) -> Tensor:
@@ -293,7 +296,9 @@ class Policy(nn.Module):
         try:
             description = json.loads((path / DESCRIPTION).read_text())
             if description.get("format") != FORMAT:
-                raise CheckpointError(f"{path} is of format {description.get('format')}, this version reads {FORMAT}")
+                raise CheckpointError(
+                    f"{path} is of format {description.get('format')}, this version reads {FORMAT}: train it again"
+                )
             policy = from_dict(PolicyConfig, description["config"]).build(
                 PolicySpec.from_dict(description["spec"]), None, seed=0, fetch=False
             )
@@ -308,6 +313,14 @@ class Policy(nn.Module):
                 f"the policy at {path} is of a run that diverged ({wrong} is not finite): it cannot act; train again"
             )
         return policy.to(device).eval()
+
+    def _within_bounds(self, chunk: Tensor) -> Tensor:
+        """(..., A) actions clipped to their bounds, where they have any."""
+        if not self.spec.bounds:
+            return chunk
+        pairs = [pair or (-math.inf, math.inf) for pair in self.spec.bounds]
+        low, high = chunk.new_tensor(pairs).unbind(-1)  # (A,)
+        return chunk.clamp(low, high)
 
     def _kept(self, dropout: float, batch: Batch, generator: torch.Generator) -> Tensor:
         """(B,) bool, False for a fraction of `dropout`."""
@@ -343,13 +356,15 @@ class Policy(nn.Module):
 
     def _normalized(self, inputs: Inputs) -> Inputs:
         """On this policy's device, normalized, only the cameras it reads."""
-        encoder, device, normalize = self.config.encoder, self.device, self.normalizer.normalize
+        encoder, device, together = self.config.encoder, self.device, self.normalizer.together
+        state, goal_proprio = together("state", inputs.state.to(device), inputs.goal_proprio.to(device))
+        achieved, goal_achieved = together("achieved", inputs.achieved.to(device), inputs.goal_achieved.to(device))
         return Inputs(
-            state=normalize("state", inputs.state.to(device)),
-            achieved=normalize("achieved", inputs.achieved.to(device)),
+            state=state,
+            achieved=achieved,
             history_mask=inputs.history_mask.to(device),
-            goal_achieved=normalize("achieved", inputs.goal_achieved.to(device)),
-            goal_proprio=normalize("state", inputs.goal_proprio.to(device)),
+            goal_achieved=goal_achieved,
+            goal_proprio=goal_proprio,
             images={camera: inputs.images[camera].to(device) for camera in encoder.observation_cameras},
             goal_images={
                 camera: inputs.goal_images[camera].to(device)

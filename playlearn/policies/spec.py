@@ -6,6 +6,7 @@ from typing import Any, Literal, Protocol
 
 from playlearn.errors import CheckpointError, UsageError
 from playlearn.layout import ObjectLayout
+from playlearn.quantity import Bounds, Quantities
 
 
 class Named(Protocol):
@@ -32,7 +33,7 @@ class PolicySpec:
     cameras: camera -> (height, width) in pixels.
     controller: the controller's settings.
     predicts: actions, or the change of `achieved` up to the next settled moment (`action_names` are then its names).
-    bounded: whether actions lie in [-1, 1], as playlearn's environments take them; other data may have its own units.
+    quantities: what the dimensions of `state` and `achieved` measure, and what bounds the actions.
     """
 
     state_names: tuple[str, ...]
@@ -42,7 +43,7 @@ class PolicySpec:
     cameras: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     controller: Mapping[str, Any] = field(default_factory=dict)
     predicts: Literal["actions", "next_settled_delta"] = "actions"
-    bounded: bool = True
+    quantities: Quantities = field(default_factory=Quantities)
 
     @classmethod
     def from_dict(cls, written: Mapping[str, Any]) -> "PolicySpec":
@@ -55,13 +56,13 @@ class PolicySpec:
             cameras={camera: (size[0], size[1]) for camera, size in written["cameras"].items()},
             controller=written["controller"],
             predicts=written.get("predicts", "actions"),
-            bounded=written.get("bounded", True),
+            quantities=Quantities.from_dict(written["quantities"]),
         )
 
     @property
-    def clipped(self) -> bool:
-        """Whether predictions must lie in [-1, 1]."""
-        return self.predicts == "actions" and self.bounded
+    def bounds(self) -> Bounds:
+        """The lowest and highest value of each number it predicts; () where none is known."""
+        return self.quantities.action_bounds if self.predicts == "actions" else ()
 
     def check(self, other: Named, cameras: Mapping[str, tuple[int, int]], needed: tuple[str, ...]) -> None:
         """Refuse an environment whose dimensions mean something else.

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from playlearn.episode import STORED, Array
 from playlearn.layout import ObjectLayout
+from playlearn.quantity import Quantities, continuous, difference, subset
 from playlearn.relabeling.calibrate import ranges
 from playlearn.relabeling.robot import NAMES, RobotReader
 from playlearn.relabeling.settling import SettlingConfig, thresholds
@@ -44,6 +45,8 @@ class Spec(Protocol):
     def achieved_names(self) -> tuple[str, ...]: ...
     @property
     def state_names(self) -> tuple[str, ...]: ...
+    @property
+    def quantities(self) -> Quantities: ...
     @property
     def fps(self) -> float: ...
 
@@ -63,6 +66,7 @@ class RelabelIndex:
 
     fps: steps a second.
     names: (G,) the dimensions of `changed`.
+    declared: (G,) what each of them measures, "" where nobody said.
     lengths: (N,) T of each episode.
     starts: (N+1,) flat numbering of steps, see the drawing.
     rows: (N+1,) flat numbering of observations.
@@ -76,6 +80,7 @@ class RelabelIndex:
 
     fps: float
     names: tuple[str, ...]
+    declared: tuple[str, ...]
     lengths: Indices
     starts: Indices
     rows: Indices
@@ -87,17 +92,31 @@ class RelabelIndex:
     next_moment: Indices
 
     @classmethod
-    def build(cls, achieved: Sequence[Array], names: Sequence[str], fps: float, settling: SettlingConfig) -> Self:
+    def build(
+        cls,
+        achieved: Sequence[Array],
+        names: Sequence[str],
+        fps: float,
+        settling: SettlingConfig,
+        declared: Sequence[str] = (),
+    ) -> Self:
         """Read the settled moments of each episode's achieved (T+1, G); thresholds of null are measured on it.
+
+        names: (G,).
+        declared: (G,) what each dimension measures; () where nobody said.
 
         Raises:
             UsageError: a threshold is missing or not positive.
         """
-        settling = settling.measured(achieved, names, fps)
-        change, rest = thresholds(settling.change, names, "change"), thresholds(settling.rest, names, "rest")
+        declared = tuple(declared) or ("",) * len(names)
+        settling = settling.measured(achieved, names, declared, fps)
+        change, rest = (
+            thresholds(own, names, declared, what)
+            for what, own in (("change", settling.change), ("rest", settling.rest))
+        )
         window = settling.window(fps)
-        found = [_settled(np.asarray(rows), change, rest, window) for rows in achieved]
-        return cls._of([len(rows) - 1 for rows in achieved], found, names, fps, change)
+        found = [_settled(np.asarray(rows), declared, change, rest, window) for rows in achieved]
+        return cls._of([len(rows) - 1 for rows in achieved], found, names, declared, fps, change)
 
     @classmethod
     def of_store(
@@ -125,14 +144,16 @@ class RelabelIndex:
 
         chosen = ObjectLayout(spec.achieved_names).select(goal_names)
         if settling.source == "robot" or not chosen:
-            reader = RobotReader.measured(list(rows(learned, STATE)), spec.state_names, spec.fps, settling.robot)
+            declared = spec.quantities.of("state", len(spec.state_names))
+            known = list(rows(learned, STATE))
+            reader = RobotReader.measured(known, spec.state_names, declared, spec.fps, settling.robot)
             states = list(rows(episodes, STATE))
-            return cls._of(
-                [len(state) - 1 for state in states], [reader(state) for state in states], NAMES, spec.fps, NONE
-            )
+            lengths, found = [len(state) - 1 for state in states], [reader(state) for state in states]
+            return cls._of(lengths, found, NAMES, ("", ""), spec.fps, NONE)
         names = [spec.achieved_names[k] for k in chosen]
-        settling = settling.measured((one[:, chosen] for one in rows(learned, ACHIEVED)), names, spec.fps)
-        return cls.build([one[:, chosen] for one in rows(episodes, ACHIEVED)], names, spec.fps, settling)
+        declared = subset(spec.quantities.of("achieved", len(spec.achieved_names)), chosen)
+        settling = settling.measured((one[:, chosen] for one in rows(learned, ACHIEVED)), names, declared, spec.fps)
+        return cls.build([one[:, chosen] for one in rows(episodes, ACHIEVED)], names, spec.fps, settling, declared)
 
     @classmethod
     def _of(
@@ -140,6 +161,7 @@ class RelabelIndex:
         steps: Sequence[int],
         found: Sequence[Moments],
         names: Sequence[str],
+        declared: Sequence[str],
         fps: float,
         change: NDArray[np.float64],
     ) -> Self:
@@ -153,6 +175,7 @@ class RelabelIndex:
         return cls(
             fps=fps,
             names=tuple(names),
+            declared=tuple(declared),
             lengths=lengths,
             starts=_running(lengths),
             rows=_running(lengths + 1),
@@ -195,7 +218,7 @@ class RelabelIndex:
 
     def groups_apart(self, one: Array, other: Array) -> NDArray[np.bool_]:
         """(n, groups) in which objects two sets of achieved goals (n, G) differ by more than `change`."""
-        return self._by_group(np.abs(one - other) > self.change)
+        return self._by_group(np.abs(difference(one, other, self.declared)) > self.change)
 
     def change_counts(self) -> dict[str, int]:
         """How often each object changed."""
@@ -210,23 +233,27 @@ class RelabelIndex:
         return self.next_moment[self.starts[episode] : self.starts[episode + 1]]
 
 
-def _settled(achieved: Array, change: Array, rest: Array, window: int) -> Moments:
+def _settled(achieved: Array, declared: Sequence[str], change: Array, rest: Array, window: int) -> Moments:
     """The settled moments, their ends and what changed of one episode's (T+1, G)."""
-    resting = _resting(achieved, rest, window)
+
+    def apart(one: Array, other: Array) -> Array:
+        return np.asarray(np.abs(difference(one, other, declared)))
+
+    resting = _resting(continuous(achieved, declared), rest, window)
     moments: list[int] = []
     ends: list[int] = []
     changed: list[list[bool]] = []
     before, at = achieved[0], 0
     while True:
-        differs = np.abs(achieved[at:] - before) > change  # (rest of the episode, G)
+        differs = apart(achieved[at:], before) > change  # (rest of the episode, G)
         ready = resting[at:] & differs.any(axis=1)
         if not ready.any():
             break
         at += int(ready.argmax())
-        leaves = (np.abs(achieved[at:] - achieved[at]) > rest).any(axis=1)
+        leaves = (apart(achieved[at:], achieved[at]) > rest).any(axis=1)
         moments.append(at)
         ends.append(at + int(leaves.argmax()) - 1 if leaves.any() else len(achieved) - 1)
-        changed.append((np.abs(achieved[at] - before) > change).tolist())
+        changed.append((apart(achieved[at], before) > change).tolist())
         before = achieved[at]
     return moments, ends, changed
 

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from playlearn.episode import Array
+from playlearn.quantity import continuous, difference, subset
 from playlearn.relabeling.calibrate import measure, ranges
 
 NAMES = ("gripper.opened", "arm.stopped")  # what changes at a settled moment that is read from the robot
@@ -73,6 +74,7 @@ class RobotReader:
     moves: (arm,) how far the arm moves before it has moved.
     rests: (arm,) the range within which it stays at rest.
     window: steps for which it must stay there.
+    declared: (arm,) what its dimensions measure, "" where nobody said.
     """
 
     gripper: list[int]
@@ -82,17 +84,25 @@ class RobotReader:
     moves: NDArray[np.float64]
     rests: NDArray[np.float64]
     window: int
+    declared: tuple[str, ...]
 
     @classmethod
-    def measured(cls, states: Sequence[Array], names: Sequence[str], fps: float, config: RobotConfig) -> Self:
-        """With thresholds measured on these states."""
+    def measured(
+        cls, states: Sequence[Array], names: Sequence[str], declared: Sequence[str], fps: float, config: RobotConfig
+    ) -> Self:
+        """With thresholds measured on these states.
+
+        names: (S,).
+        declared: (S,) what each dimension measures, "" where nobody said.
+        """
         gripper, arm = config.columns(names)
         window = max(1, round(config.rest_seconds * fps))
         openings = [_openings(state, gripper) for state in states]
-        opens, _ = measure([own[:, None] for own in openings], ("opening",), fps, window)
+        opens, _ = measure([own[:, None] for own in openings], subset(declared, gripper) or ("",), fps, window)
         middle = np.quantile(np.concatenate(openings), [0.05, 0.95]).mean()
-        moves, rests = measure([state[:, arm] for state in states], [names[k] for k in arm], fps, window)
-        return cls(gripper, arm, float(opens[0]), float(middle), moves, rests, window)
+        own = subset(declared, arm)
+        moves, rests = measure([state[:, arm] for state in states], own, fps, window)
+        return cls(gripper, arm, float(opens[0]), float(middle), moves, rests, window, own)
 
     def __call__(self, state: Array) -> tuple[list[int], list[int], list[list[bool]]]:
         """The moments (m), the last observation each holds to, and which of `NAMES` each is (m, 2)."""
@@ -108,11 +118,11 @@ class RobotReader:
         arm = np.asarray(state[:, self.arm], np.float64)
         resting = np.zeros(len(arm), np.bool_)
         if len(arm) > self.window:
-            resting[self.window :] = (ranges(arm, self.window) < self.rests).all(axis=1)
+            resting[self.window :] = (ranges(continuous(arm, self.declared), self.window) < self.rests).all(axis=1)
         moments: list[int] = []
         came_from = arm[0]  # where the arm was at the last moment or grasp
         for t in sorted({*grasps, *opened, *np.flatnonzero(resting & closed).tolist()}):
-            stopped = t not in grasps and bool((np.abs(arm[t] - came_from) > self.moves).any())
+            stopped = t not in grasps and bool((self._distance(arm[t], came_from) > self.moves).any())
             if t in opened or stopped:
                 moments.append(t)
             if t in opened or stopped or t in grasps:
@@ -132,8 +142,11 @@ class RobotReader:
 
     def _end(self, arm: Array, closed: NDArray[np.bool_], t: int) -> int:
         """The last observation of t's configuration: until the gripper closes; while closed, until the arm moves."""
-        leaves = (np.abs(arm[t:] - arm[t]) > self.rests).any(axis=1) if closed[t] else closed[t:]
+        leaves = (self._distance(arm[t:], arm[t]) > self.rests).any(axis=1) if closed[t] else closed[t:]
         return t + int(leaves.argmax()) - 1 if leaves.any() else len(arm) - 1
+
+    def _distance(self, one: Array, other: Array) -> Array:
+        return np.asarray(np.abs(difference(one, other, self.declared)))
 
 
 def _matching(names: Sequence[str], patterns: Sequence[str]) -> list[int]:

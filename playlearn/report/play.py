@@ -241,20 +241,29 @@ def _actions(store: Store) -> dict[str, Any]:
     """
     executed = np.concatenate([store.array(i, "action") for i in range(len(store))])
     label = np.concatenate([store.array(i, "expert_action") for i in range(len(store))])
-    edges = np.linspace(-1, 1, BINS + 1)
+    bounds = store.spec.quantities.action_bounds or (None,) * executed.shape[1]
+    edges = [_edges(np.stack([executed[:, k], label[:, k]]), pair) for k, pair in enumerate(bounds)]
     distance = np.abs(executed - label).max(axis=1)
     return {
         "label_distance": _quantiles(distance),
         "dimensions": {
             name: {
-                "edges": [-1.0, 1.0],
-                "executed": np.histogram(executed[:, k], edges)[0].tolist(),
-                "label": np.histogram(label[:, k], edges)[0].tolist(),
+                "edges": [float(edges[k][0]), float(edges[k][-1])],
+                "executed": np.histogram(executed[:, k], edges[k])[0].tolist(),
+                "label": np.histogram(label[:, k], edges[k])[0].tolist(),
                 "noise": float((executed[:, k] - label[:, k]).std()),
             }
             for k, name in enumerate(store.spec.action_names)
         },
     }
+
+
+def _edges(values: Array, bounds: tuple[float, float] | None) -> Array:
+    """(BINS + 1,) from bound to bound, and as far beyond as the values reach."""
+    low, high = float(values.min()), float(values.max())
+    if bounds is not None:
+        low, high = min(low, bounds[0]), max(high, bounds[1])
+    return np.linspace(low, high if high > low else low + 1e-3, BINS + 1)
 
 
 def _columns(store: Store, key: str, names: Sequence[str], wanted: Sequence[str]) -> NDArray[np.float64]:

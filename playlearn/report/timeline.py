@@ -12,6 +12,7 @@ import numpy as np
 from playlearn.config import make_folder
 from playlearn.episode import IMAGES, Array
 from playlearn.layout import ObjectLayout
+from playlearn.quantity import continuous
 from playlearn.relabeling import RelabelIndex, SettlingConfig
 from playlearn.relabeling.robot import RobotReader
 from playlearn.relabeling.settling import thresholds
@@ -114,15 +115,17 @@ def drawing(store: Store, episode: int, settling: SettlingConfig) -> "Figure":
 def _curve_groups(store: Store, episode: int, settling: SettlingConfig) -> list[CurveGroup]:
     """Curves for each group of achieved dimensions, and for gripper and arm."""
     spec, episodes = store.spec, range(len(store))
-    settling = settling.measured((store.array(i, "achieved") for i in episodes), spec.achieved_names, spec.fps)
-    unit = thresholds(settling.change, spec.achieved_names, "change")
-    curve_groups = _grouped(store.array(episode, "achieved"), spec.achieved_names, unit)
+    names, measured = spec.achieved_names, spec.quantities.of("achieved", len(spec.achieved_names))
+    settling = settling.measured((store.array(i, "achieved") for i in episodes), names, measured, spec.fps)
+    unit = thresholds(settling.change, names, measured, "change")
+    curve_groups = _grouped(continuous(store.array(episode, "achieved"), measured), names, unit)
     states = [store.array(i, "observation.state") for i in episodes]
-    robot = RobotReader.measured(states, spec.state_names, spec.fps, settling.robot)
+    measured = spec.quantities.of("state", len(spec.state_names))
+    robot = RobotReader.measured(states, spec.state_names, measured, spec.fps, settling.robot)
     for group, columns, unit in (("gripper", robot.gripper, np.array([robot.opens])), ("arm", robot.arm, robot.moves)):
-        names = ObjectLayout([spec.state_names[k] for k in columns]).quantities
+        axes = ObjectLayout([spec.state_names[k] for k in columns]).axes
         if columns:
-            curve_groups.append(CurveGroup(group, names, _scaled(states[episode][:, columns], unit)))
+            curve_groups.append(CurveGroup(group, axes, _scaled(states[episode][:, columns], unit)))
     return curve_groups
 
 

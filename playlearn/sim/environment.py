@@ -8,6 +8,7 @@ import draccus
 import numpy as np
 
 from playlearn.episode import Array, Decision, Goal, Observation
+from playlearn.quantity import Quantities
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,7 @@ class EnvironmentSpec:
     cameras: that can be rendered.
     fps: control steps a second.
     controller: its type, gains and limits, on record.
+    quantities: what the dimensions of `state` and `achieved` measure, and what bounds the actions.
     """
 
     state_names: tuple[str, ...]
@@ -59,6 +61,7 @@ class EnvironmentSpec:
     cameras: tuple[str, ...]
     fps: float
     controller: Mapping[str, Any] = field(default_factory=dict)
+    quantities: Quantities = field(default_factory=Quantities)
 
 
 @dataclass(frozen=True)

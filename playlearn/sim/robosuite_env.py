@@ -19,6 +19,7 @@ import numpy as np
 import playlearn.sim.robots  # noqa: F401 - registers them
 from playlearn.episode import Array, Observation
 from playlearn.errors import SimulationDiverged, UsageError
+from playlearn.quantity import own_quantities
 from playlearn.sim.checks import check_physics, checked_action
 from playlearn.sim.environment import CameraConfig, EnvironmentSpec
 from playlearn.sim.ik import displace, touching
@@ -99,10 +100,12 @@ class RobosuiteEnv:
         self._cameras = dict(cameras)
         self._paint = paint
         self._renderer = Renderer(functools.partial(mujoco.MjSpec.from_string, self._xml), self._home, paint)
+        actions = ACTION_NAMES[: 6 + self._gripper_model.dof]
         self.spec = EnvironmentSpec(
             state_names=STATE_NAMES,
             achieved_names=tuple(achieved_names),
-            action_names=ACTION_NAMES[: 6 + self._gripper_model.dof],
+            action_names=actions,
+            quantities=own_quantities(STATE_NAMES, achieved_names, len(actions)),
             cameras=tuple(cameras),
             fps=float(robosuite_env.control_freq),
             controller={

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from playlearn.config import json_digest
 from playlearn.episode import IMAGES, Array, Episode, EpisodeMeta
 from playlearn.errors import StoreError
+from playlearn.quantity import Quantities
 
 _SUCCESS = {"success": True, "failure": False, "unknown": None}
 
@@ -42,6 +43,7 @@ class StoreSpec:
     action_names: name of each dimension of the action.
     fps: control steps a second.
     cameras: name -> (height, width) of the recorded images; empty if only states were recorded.
+    quantities: what the dimensions of `state` and `achieved` measure, and what bounds the actions.
     """
 
     environment: Mapping[str, Any]
@@ -50,6 +52,7 @@ class StoreSpec:
     action_names: tuple[str, ...]
     fps: float
     cameras: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    quantities: Quantities = field(default_factory=Quantities)
 
     @classmethod
     def of(cls, episode: Episode) -> Self:
@@ -62,7 +65,8 @@ class StoreSpec:
         cameras = {
             key.removeprefix(IMAGES): (shape[1], shape[2]) for key, shape in shapes.items() if key.startswith(IMAGES)
         }
-        return cls(meta.environment, meta.state_names, meta.achieved_names, meta.action_names, meta.fps, cameras)
+        names = meta.state_names, meta.achieved_names, meta.action_names
+        return cls(meta.environment, *names, meta.fps, cameras, meta.quantities)
 
     def check(self, other: "StoreSpec") -> None:
         """Raises StoreError that names the first field in which an episode's spec differs from its store's."""
@@ -143,12 +147,18 @@ def spec_digest(spec: StoreSpec) -> str:
 
 def plain(value: Any) -> Any:
     """The value as JSON returns it: mappings become dicts, tuples lists."""
-    return json.loads(json.dumps(value, default=dict, sort_keys=True))
+    return json.loads(json.dumps(value, default=_jsonable, sort_keys=True))
 
 
 def to_json(record: Any) -> str:
     """A frozen dataclass of JSON-able fields, as text."""
-    return json.dumps({entry.name: getattr(record, entry.name) for entry in dataclasses.fields(record)}, default=dict)
+    return json.dumps(
+        {entry.name: getattr(record, entry.name) for entry in dataclasses.fields(record)}, default=_jsonable
+    )
+
+
+def _jsonable(value: Any) -> dict[str, Any]:
+    return dataclasses.asdict(value) if isinstance(value, Quantities) else dict(value)
 
 
 def from_json[T](cls: type[T], text: str) -> T:
@@ -158,6 +168,13 @@ def from_json[T](cls: type[T], text: str) -> T:
     unknown = sorted(set(values) - set(hints))
     if unknown:
         raise StoreError(f"{cls.__name__} with unknown {', '.join(unknown)}: written by a newer playlearn; update it")
+    if "quantities" in hints:
+        if "quantities" not in values:
+            raise StoreError(
+                f"{cls.__name__} does not say what its numbers measure (no `quantities`): it was written before "
+                "playlearn recorded that; collect or import the recording again"
+            )
+        values["quantities"] = Quantities.from_dict(values["quantities"])
     tuples = {name for name, hint in hints.items() if typing.get_origin(hint) is tuple}
     try:
         return cls(**{name: tuple(value) if name in tuples else value for name, value in values.items()})

@@ -305,4 +305,7 @@ def _read_spec(folder: Path) -> StoreSpec:
         raise StoreError(
             f"{folder} was written by a newer playlearn (store version {version}, known {VERSION}): update playlearn"
         )
-    return from_json(StoreSpec, json.dumps(description))
+    try:
+        return from_json(StoreSpec, json.dumps(description))
+    except StoreError as error:
+        raise StoreError(f"{path}: {error}") from error

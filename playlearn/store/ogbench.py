@@ -19,6 +19,7 @@ import numpy as np
 
 from playlearn.episode import Array, Episode, EpisodeMeta
 from playlearn.errors import EpisodeError, StoreError
+from playlearn.quantity import own_quantities
 from playlearn.store.base import StoreSpec
 from playlearn.store.npz import Rows, members
 
@@ -90,7 +91,9 @@ class OgbenchFile:
         self.splits: Mapping[str, Sequence[int]] = {}
         others = [name for name in present if name not in self._arrays]
         self.remarks: Mapping[str, str] = dict.fromkeys(others, "left out: playlearn has no place for it")
-        self.spec = StoreSpec(self._kind.environment, STATE_NAMES, self._kind.achieved_names, ACTION_NAMES, FPS)
+        names = STATE_NAMES, self._kind.achieved_names, ACTION_NAMES
+        quantities = own_quantities(STATE_NAMES, self._kind.achieved_names, len(ACTION_NAMES))
+        self.spec = StoreSpec(self._kind.environment, *names, FPS, quantities=quantities)
         self.note = {"format": "ogbench", "source": path.name, "bytes": path.stat().st_size}
 
     def names(self) -> Mapping[int, str]:
@@ -124,6 +127,7 @@ class OgbenchFile:
             fps=FPS,
             seed=number,
             actor="ogbench oracles",
+            quantities=self.spec.quantities,
         )
         return Episode(
             meta=meta,

@@ -14,6 +14,7 @@ import numpy as np
 
 from playlearn.episode import Array, Episode, EpisodeMeta
 from playlearn.errors import StoreError
+from playlearn.quantity import Quantities, subset
 from playlearn.store.base import StoreSpec, plain
 from playlearn.store.hdf5 import (
     Demonstrations,
@@ -32,6 +33,7 @@ from playlearn.store.hdf5 import (
 )
 from playlearn.store.object_dimensions import ObjectDimensions, choose_dimensions, own_dimensions
 from playlearn.store.robomimic_keys import ACHIEVED, IMAGE, choose_keys
+from playlearn.store.robosuite_controller import action_bounds
 from playlearn.store.robosuite_objects import known_order
 from playlearn.store.success import Signals, SuccessRule, follow_convention, how_ended
 
@@ -40,6 +42,7 @@ __all__ = ["ACHIEVED", "IMAGE", "STATE", "RobomimicConfig", "RobomimicFile"]
 FPS = 20.0  # robosuite's default, for files that do not state it
 ACTIONS = ("dx", "dy", "dz", "droll", "dpitch", "dyaw", "gripper")  # robosuite's OSC_POSE
 STATE = "robot0_state"  # what `robomimic_export` calls the robot's
+ROBOSUITE = 1  # robomimic's type of an environment
 SPARSE = (1, 3)  # robomimic's types of environments (robosuite, iGibson) that have its convention of rewards
 _PARTS = {"pos": ("x", "y", "z"), "quat": ("qx", "qy", "qz", "qw")}
 _READ = ("actions", "states", "rewards", "dones", "obs", "next_obs")
@@ -127,6 +130,7 @@ class RobomimicFile(Demonstrations):
             action_names=_fitting(recorded.get("action"), action_names(int(self._layout["actions"][0]))),
             fps=frequency(fps, _kwargs(arguments).get("control_freq"), path, FPS),
             cameras={camera: self._layout[f"obs/{key}"][:2] for camera, key in self._keys.cameras.items()},
+            quantities=self._quantities(arguments),
         )
         seen = {f"obs/{key}": why for key, why in self._keys.remarks.items()}
         self.remarks = grouped({**seen, **rest, **self._objects.remarks})
@@ -240,6 +244,25 @@ class RobomimicFile(Demonstrations):
         columns = [np.asarray(dataset(group, f"obs/{key}"), np.float32).reshape(rows, -1) for key in keys]
         return np.concatenate([np.zeros((rows, 0), np.float32), *columns], axis=1)
 
+    def _quantities(self, arguments: Mapping[str, Any]) -> Quantities:
+        """What robosuite's own keys and controllers say, or `export robomimic` wrote; nothing is known of others."""
+        names, actions = (self._parts(self._keys.state), self._objects.names), int(self._layout["actions"][0])
+        written = (arguments.get("playlearn") or {}).get("quantities")
+        if written is not None:
+            own = Quantities.from_dict(written)
+            # Other keys than the exported ones may have been asked for.
+            given = (
+                one if len(one) == len(of) else () for one, of in zip((own.state, own.achieved), names, strict=True)
+            )
+            bounds = own.action_bounds
+        elif arguments.get("type") == ROBOSUITE:
+            given = (tuple(map(_quantity, of)) for of in names)
+            bounds = action_bounds(_kwargs(arguments), actions)
+        else:
+            return Quantities()
+        state, achieved = given
+        return Quantities(state, subset(achieved, self._objects.kept), bounds)
+
     def _episode(self, group: Any, number: int, name: str) -> Episode:
         steps, success = dataset(group, "actions").shape[0] - 1, self._success[group.name]
         action = np.asarray(dataset(group, "actions")[:steps], np.float32)
@@ -252,6 +275,7 @@ class RobomimicFile(Demonstrations):
             fps=self.spec.fps,
             seed=number,
             actor="demonstrator",
+            quantities=self.spec.quantities,
             cameras={camera: {"height": h, "width": w} for camera, (h, w) in self.spec.cameras.items()},
             ended=how_ended(success),
             split=("val" if number in self._val else "train") if self._val else "",
@@ -279,6 +303,14 @@ class RobomimicFile(Demonstrations):
         if self._sparse:
             kept[-1] = max(kept[-1], recorded[-1])
         return kept
+
+
+def _quantity(name: str) -> str:
+    """What `robot0_eef_pos.x`, `robot0_eef_quat.qw` or `cube.x` measures; "" of what robosuite's names do not tell."""
+    owner, _, part = name.rpartition(".")
+    if part in _PARTS["pos"]:
+        return f"length {part}"
+    return f"quaternion {owner}" if part in _PARTS["quat"] else ""
 
 
 def _signals(group: Any) -> Signals:

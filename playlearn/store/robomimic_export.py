@@ -71,7 +71,11 @@ def _environment(store: Store) -> dict[str, Any]:
         "env_name": str(spec.environment.get("type", "unknown")),
         "type": GYM,
         "env_kwargs": {"control_freq": spec.fps},
-        "playlearn": {"environment": plain(spec.environment), "names": plain(names)},
+        "playlearn": {
+            "environment": plain(spec.environment),
+            "names": plain(names),
+            "quantities": plain(spec.quantities),
+        },
     }
 
 

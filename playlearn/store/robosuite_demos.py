@@ -19,6 +19,7 @@ import numpy as np
 
 from playlearn.episode import Array, Episode, EpisodeMeta
 from playlearn.errors import StoreError
+from playlearn.quantity import Quantities, own_quantities, subset
 from playlearn.store.base import StoreSpec, plain
 from playlearn.store.hdf5 import (
     Demonstrations,
@@ -37,12 +38,14 @@ from playlearn.store.hdf5 import (
 )
 from playlearn.store.object_dimensions import own_dimensions
 from playlearn.store.robomimic import FPS, action_names
+from playlearn.store.robosuite_controller import action_bounds
 from playlearn.store.success import Signals, SuccessRule, how_ended
 
 _PLACE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _TURN = ("r00", "r10", "r20", "r01", "r11", "r21")
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
-_SINGLE = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+_SINGLE = (int(mujoco.mjtJoint.mjJNT_SLIDE), _HINGE)
 
 
 @dataclass(frozen=True)
@@ -110,6 +113,11 @@ class RobosuiteFile(Demonstrations):
             achieved_names=self._objects.goals(),
             action_names=action_names(width),
             fps=frequency(fps, info.get("control_freq"), path, FPS),
+            quantities=Quantities(
+                scene.quantities.state,
+                subset(scene.quantities.achieved, self._objects.kept),
+                action_bounds(info, width),
+            ),
         )
         settings = {"mask": mask, "fps": fps, "goal_names": goal_names, "success": success}
         self.note = plain({"format": "robosuite", "source": path.name, "bytes": path.stat().st_size, **settings})
@@ -131,6 +139,7 @@ class RobosuiteFile(Demonstrations):
             actor="demonstrator",
             ended=how_ended(success),
             success=success,
+            quantities=self.spec.quantities,
         )
         return Episode(
             meta=meta,
@@ -168,19 +177,27 @@ class Scene:
         robots = {int(model.body_rootid[model.site_bodyid[k]]) for k in self._sites}  # arms, legs and wheels included
         self._object_qpos: list[int] = []
         names: list[str] = []
+        turning: list[str] = []  # those whose numbers are a hinge that goes round and round
         for joint in joints:
             owned = joint.name.startswith(("gripper", "robot")) or int(model.body_rootid[joint.bodyid[0]]) in robots
             if owned or int(joint.type[0]) not in (_FREE, *_SINGLE):
                 continue
             parts = _PLACE if int(joint.type[0]) == _FREE else ("pos",)
             self._object_qpos += range(int(joint.qposadr[0]), int(joint.qposadr[0]) + len(parts))
-            names += [f"{joint.name or f'joint{joint.id}'}.{part}" for part in parts]
+            own_names = [f"{joint.name or f'joint{joint.id}'}.{part}" for part in parts]
+            names += own_names
+            endless = int(joint.type[0]) == _HINGE and not model.jnt_limited[joint.id]
+            turning += own_names if endless else []
         numbers = [""] if len(hands) == 1 else [str(k) for k in range(len(hands))]
         eef = [f"eef{number}.{part}" for number in numbers for part in (*_PLACE[:3], *_TURN)]
         named = zip(numbers, fingers, strict=True)
         grippers = [f"gripper{number}.q{k}" for number, own in named for k in range(len(own))]
         self.state_names = (*eef, *grippers)
         self.achieved_names = tuple(names)
+        own = own_quantities(self.state_names, names, 0)
+        alone = {name: f"{'angle' if name in turning else 'plain'} {name}" for name in names if name.endswith(".pos")}
+        achieved = tuple(alone.get(name, text) for name, text in zip(names, own.achieved, strict=True))
+        self.quantities = Quantities(own.state, achieved)
 
     def observe(self, states: Array, name: str) -> tuple[Array, Array]:
         """State (T, S) and achieved goal (T, G), float32, from robosuite's flat states (T, 1 + nq + nv)."""

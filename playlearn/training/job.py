@@ -107,7 +107,7 @@ class _Run:
             cameras={camera: (int(h), int(w)) for camera, (h, w) in self.examples.cameras().items()},
             controller=store.meta(0).controller,
             predicts=config.data.target,
-            bounded=bool(np.abs(self.data.action).max() <= 1),
+            quantities=store.spec.quantities,
         )
         policy = self._initial_policy()
         policy.to(self.accelerator.device)
@@ -187,7 +187,11 @@ class _Run:
 
     @torch.no_grad()
     def evaluate(self) -> dict[str, float]:
-        """Metrics of the averaged weights on held-out play; action_error in units of the action, over the chunk."""
+        """Metrics of the averaged weights on held-out play.
+
+        action_error: mean over the chunk and its numbers, each as a share of its spread in the data (see `scaled`), so
+        that a small unit counts like a large one.
+        """
         policy = cast(Policy, self.ema.module)
         policy.eval()
         window = Window()
@@ -195,7 +199,7 @@ class _Run:
             generator = _generator(self.config.seed, number, -1)
             loss, metrics = policy.loss(batch.to(self.accelerator.device), generator)
             if policy.acting_learns:
-                error = (policy.act(batch, generator) - batch.action).abs().mean(dim=-1)[batch.action_mask].mean()
+                error = policy.action_error(policy.act(batch, generator), batch.action)[batch.action_mask].mean()
                 metrics = {**metrics, "action_error": error}
             window.add({"loss": loss, **metrics})
         return window.means()

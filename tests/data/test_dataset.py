@@ -10,6 +10,7 @@ import torch
 from playlearn.data import DataConfig, PlayDataset, statistics
 from playlearn.data.split import val_episodes
 from playlearn.errors import StoreError, UsageError
+from playlearn.quantity import Quantities
 from playlearn.relabeling import (
     FinalConfig,
     FixedConfig,
@@ -196,7 +197,7 @@ def test_a_recording_without_achieved_has_goals_from_the_robot(tmp_path: Path) -
     state[40:100, 3] = 0.0
     episode = dataclasses.replace(
         made,
-        meta=dataclasses.replace(made.meta, achieved_names=()),
+        meta=dataclasses.replace(made.meta, achieved_names=(), quantities=Quantities()),
         state=state,
         achieved=np.zeros((201, 0), np.float32),
         sim_state=np.zeros((201, 0)),

@@ -188,7 +188,10 @@ def settled(scene: Any, seed: int) -> bool:
     scene.reset(seed)
     episode = rollout([scene], OgbenchPlayConfig().build(scene), [None], seeds=[seed], max_steps=300)[0].episode
     assert episode is not None
-    table = RelabelIndex.build([episode.achieved], episode.meta.achieved_names, episode.meta.fps, SettlingConfig())
+    meta = episode.meta
+    table = RelabelIndex.build(
+        [episode.achieved], meta.achieved_names, meta.fps, SettlingConfig(), meta.quantities.achieved
+    )
     objects = {group for group, count in table.change_counts().items() if count}
     return len(episode.meta.skills) >= 2 and table.offsets[-1] >= 2 and len(objects) >= 2
 

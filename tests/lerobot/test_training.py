@@ -12,6 +12,7 @@ from safetensors.torch import load_file
 from playlearn.config import load_config
 from playlearn.errors import UsageError
 from playlearn.policies import Policy
+from playlearn.quantity import Quantities
 from playlearn.store import LeRobotStoreConfig, NativeStore, StoreSpec
 from playlearn.store.lerobot.export import export_lerobot
 from playlearn.training import TrainConfig, train
@@ -45,8 +46,10 @@ def test_it_trains_the_same_policy(tmp_path: Path) -> None:
 
 
 def test_actions_in_other_units_are_not_clipped(tmp_path: Path) -> None:
+    """Nobody says what bounds them."""
     episodes = [make_episode(np.random.default_rng(seed), 100, seed=seed) for seed in range(3)]
     degrees = [replace(one, action=one.action * 90, expert_action=one.expert_action * 90 + 45) for one in episodes]
+    degrees = [replace(one, meta=replace(one.meta, quantities=Quantities())) for one in degrees]
     store = NativeStore.create(tmp_path / "play", StoreSpec.of(degrees[0]))
     with store.writer() as writer:
         for episode in degrees:
@@ -54,7 +57,7 @@ def test_actions_in_other_units_are_not_clipped(tmp_path: Path) -> None:
     plain = config(tmp_path / "play")
     train(replace(plain, steps=2, data=replace(plain.data, val_fraction=0)), tmp_path / "run")
     policy = Policy.load(tmp_path / "run" / "policy")
-    assert not policy.spec.clipped
+    assert policy.spec.bounds == ()
     data = plain.data.build(store, "train", 0)
     # 45 on average: what is predicted is near there after no training to speak of, far outside [-1, 1].
     assert policy.act(data.batch(0, np.arange(8)), torch.Generator().manual_seed(0)).mean() > 10

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from playlearn.batch import Statistics
 from playlearn.config import from_dict
 from playlearn.policies import EncoderConfig, HeadConfig, Policy, PolicyConfig, PolicySpec, TrunkConfig
 from playlearn.policies.heads import (
@@ -18,6 +19,7 @@ from playlearn.policies.heads import (
     LogisticConfig,
     MixtureConfig,
 )
+from playlearn.quantity import Quantities
 
 torch.set_num_threads(1)
 
@@ -27,6 +29,7 @@ SPEC = PolicySpec(
     action_names=("dx", "dy", "gripper"),
     fps=20.0,
     cameras={"front": (16, 16), "wrist": (16, 16)},
+    quantities=Quantities(action_bounds=((-1.0, 1.0),) * 3),
 )
 S, G, A, H = 3, 4, 3, 4
 
@@ -114,16 +117,10 @@ def policy(
     return config.build(SPEC, spreads(), seed)
 
 
-@dataclass(frozen=True)
-class Spread:
-    mean: np.ndarray
-    std: np.ndarray
-
-
-def spreads() -> dict[str, Spread]:
+def spreads() -> dict[str, Statistics]:
     rng = np.random.default_rng(1)
     return {
-        name: Spread(rng.normal(size=n) * 0.1, rng.uniform(0.2, 0.5, n))
+        name: Statistics(rng.normal(size=n) * 0.1, rng.uniform(0.2, 0.5, n))
         for name, n in (("state", S), ("achieved", G), ("action", A))
     }
 

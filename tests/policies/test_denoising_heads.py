@@ -67,3 +67,19 @@ def test_all_steps_of_a_sampler_lead_noise_to_the_known_gaussian(sampler: str) -
     torch.testing.assert_close(
         drawn, mean + std * draw_noise(drawn.shape, generator(1), drawn.device), atol=0.06, rtol=0
     )
+
+
+def test_what_is_rarely_other_than_zero_can_be_predicted() -> None:
+    """A switch used once in 400 steps lies 20 standard deviations from its mean, far beyond the usual 5."""
+
+    class Oracle(torch.nn.Module):
+        def forward(self, noisy: torch.Tensor, time: torch.Tensor, features: torch.Tensor) -> torch.Tensor:
+            return features.expand_as(noisy)
+
+    head = DiffusionConfig(sample_steps=8).build(1, 1, 1)
+    head.denoiser = Oracle()
+    assert head.mode(torch.full((1, 1), 20.0)).item() == pytest.approx(5.0)
+    head.fit_action_statistics(torch.tensor([0.0, 20.0]).view(2, 1, 1))
+    assert head.mode(torch.full((1, 1), 20.0)).item() == pytest.approx(20.0)
+    head.fit_action_statistics(torch.tensor([0.0, 1.0]).view(2, 1, 1))
+    assert head.reach.item() == 5.0

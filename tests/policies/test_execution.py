@@ -57,6 +57,13 @@ def stand_in() -> Any:
     return Counting()
 
 
+def test_what_is_executed_lies_within_the_environments_bounds() -> None:
+    """The play that the policy learned from may have known none; an action without bounds is left as it is."""
+    bounds = ((-1.0, 0.0105), (0.02, 1.0), None)
+    taken = drive(PolicyActor(stand_in(), n_action_steps=2, bounds=bounds), 2)[:, 0]
+    np.testing.assert_allclose(taken, [[0.01, 0.02, 0.01], [0.0105, 0.02, 0.011]], rtol=1e-6)
+
+
 def test_a_few_actions_of_each_chunk_are_executed() -> None:
     taken = drive(PolicyActor(stand_in(), n_action_steps=2), 5)[:, 0, 0]
     np.testing.assert_allclose(taken, [0.010, 0.011, 0.020, 0.021, 0.030], atol=1e-6)

@@ -78,3 +78,14 @@ def test_the_tokenizer_is_saved_with_the_weights_and_decoding_with_a_cache_is_de
         before = torch.nn.functional.pad(other.token_embedding(token_ids[:, :-1]), (0, 0, 1, 0))
         hidden = other.in_proj(features).unsqueeze(1) + other.pos_embedding[: token_ids.shape[1]] + before
         assert torch.equal(other.out_proj(other.decoder(hidden)).argmax(-1), token_ids)
+
+
+def test_a_chunk_that_reaches_far_is_still_within_the_letters() -> None:
+    """20 standard deviations for a whole chunk, beside a number of the usual size that keeps its fine steps."""
+    chunks = smooth(50, 8, 2)
+    chunks[7, :, 1] = 20.0
+    head = FastConfig(vocabulary=300, width=16, layers=1, heads=2).build(4, 8, 2)
+    assert (head.numbers(head.token_ids_of(chunks)) - chunks).abs()[7, :, 1].max() > 10
+    head.fit_action_statistics(chunks)
+    assert (head.numbers(head.token_ids_of(chunks)) - chunks).abs()[..., 1].max() < 0.4
+    assert head.scale[0] == head.config.scale

@@ -5,8 +5,9 @@ import pytest
 
 from playlearn.relabeling import RelabelIndex, SettlingConfig
 from playlearn.relabeling.settling import thresholds
-from tests.synthetic import ACHIEVED, FPS, make_episode
+from tests.synthetic import ACHIEVED, FPS, QUANTITIES, make_episode
 
+DECLARED = QUANTITIES.achieved
 NAMES = ("red.x", "lamp.on")
 
 
@@ -24,7 +25,7 @@ MOVED = env((10, 0.0, 0.0), (20, 0.0, 1.0), (10, 0.1, 1.0), (41, 0.1, 1.0))
 
 
 def table(*envs: np.ndarray, **settling: object) -> RelabelIndex:
-    return RelabelIndex.build(list(envs), NAMES, FPS, SettlingConfig(**settling))
+    return RelabelIndex.build(list(envs), NAMES, FPS, SettlingConfig(**settling), ("length x", "binary on"))
 
 
 def test_settled_moments_come_a_rest_after_each_change() -> None:
@@ -78,9 +79,9 @@ def test_a_pause_shorter_than_the_rest_is_part_of_the_motion() -> None:
 def test_laws_on_random_play(seed: int) -> None:
     rng = np.random.default_rng(seed)
     envs = [make_episode(rng, int(rng.integers(1, 400))).achieved for _ in range(4)]
-    made = RelabelIndex.build(envs, ACHIEVED, FPS, SettlingConfig())
-    change = thresholds(SettlingConfig().change, ACHIEVED, "change")
-    rest = thresholds(SettlingConfig().rest, ACHIEVED, "rest")
+    made = RelabelIndex.build(envs, ACHIEVED, FPS, SettlingConfig(), DECLARED)
+    change = thresholds(SettlingConfig().change, ACHIEVED, DECLARED, "change")
+    rest = thresholds(SettlingConfig().rest, ACHIEVED, DECLARED, "rest")
     assert sum(len(made.settled(e)[0]) for e in range(4)) == len(made.moments)
     for e, achieved in enumerate(envs):
         moments, ends = made.settled(e)
@@ -100,6 +101,27 @@ def test_laws_on_random_play(seed: int) -> None:
 def test_synthetic_segments_are_all_found() -> None:
     # Every synthetic segment ends with 1 s of rest, so a change is missed only where the episode cuts it.
     episode = make_episode(np.random.default_rng(3), 2000)
-    found = RelabelIndex.build([episode.achieved], ACHIEVED, FPS, SettlingConfig())
+    found = RelabelIndex.build([episode.achieved], ACHIEVED, FPS, SettlingConfig(), DECLARED)
     # Segments last 45 to 73 steps and each is one change, so 2,000 steps hold 27 whole ones at least.
     assert 27 <= len(found.moments) <= 1 + 2000 // 45
+
+
+def test_another_spelling_of_the_same_pose_is_no_change() -> None:
+    """A thing lies still; its yaw is read as pi or -pi, its quaternion as q or -q, a noisy lamp as 0.3 or -0.1."""
+    flip = np.arange(120) % 7 < 3
+    rows = np.zeros((120, 6), np.float32)
+    rows[:, 0] = np.where(flip, 3.141, -3.141)
+    rows[:, 1:5] = np.where(flip[:, None], 1, -1) * np.array([0.6, 0.0, 0.8, 0.0])
+    rows[:, 5] = np.where(flip, 0.3, -0.1)
+    names = ("red.yaw", *(f"red.q{k}" for k in range(4)), "lamp")
+    declared = ("angle yaw", *("quaternion red",) * 4, "binary on")
+    for settling in (SettlingConfig(), SettlingConfig(change={"default": None}, rest={"default": None})):
+        assert len(RelabelIndex.build([rows], names, FPS, settling, declared).moments) == 0
+    turned = rows.copy()  # half a turn about an axis, from observation 60 on: one change
+    turned[60:, 0] = 0.0
+    turned[60:, 1:5] = np.where(flip[60:, None], 1, -1) * np.array([0.0, 0.6, 0.0, 0.8])
+    turned[60:, 5] = 1.0
+    made = RelabelIndex.build([turned], names, FPS, SettlingConfig(), declared)
+    assert made.moments.tolist() == [66]
+    assert made.changed.tolist() == [[True] * 6]
+    assert made.groups_apart(rows[:1], rows[3:4]).tolist() == [[False, False]]

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from playlearn.quantity import Quantities
 from playlearn.relabeling import RelabelIndex, RobotConfig, SettlingConfig
 from playlearn.relabeling.robot import RobotReader
 
@@ -23,7 +24,7 @@ def robot(*pieces: tuple[int, float, float]) -> np.ndarray:
 
 
 def found(state: np.ndarray, names: tuple[str, ...] = NAMES, config: RobotConfig | None = None) -> tuple[list, ...]:
-    return RobotReader.measured([state], names, FPS, config or RobotConfig())(state)
+    return RobotReader.measured([state], names, ("",) * len(names), FPS, config or RobotConfig())(state)
 
 
 # Grasped in 20 ... 23, carried 0.3 m over 30 ... 59, still; let go in 80 ... 83; back over 90 ... 119; still.
@@ -115,6 +116,7 @@ class Recorded:
     class spec:  # noqa: N801 - a stand-in for a field
         achieved_names: tuple[str, ...] = ()
         state_names = NAMES
+        quantities = Quantities()
         fps = FPS
 
     def __len__(self) -> int:

@@ -25,7 +25,7 @@ from playlearn.relabeling import (
     UniformConfig,
     WeightedSampler,
 )
-from tests.synthetic import ACHIEVED, FPS, make_episode
+from tests.synthetic import ACHIEVED, FPS, QUANTITIES, make_episode
 
 NEGATIVES = {"random", "episode"}  # HER's strategies that ask for what was not reached afterwards
 KINDS = sorted(set(GoalSamplerConfig.get_known_choices()) - NEGATIVES)
@@ -33,7 +33,9 @@ KINDS = sorted(set(GoalSamplerConfig.get_known_choices()) - NEGATIVES)
 
 def _table(lengths: tuple[int, ...] = (300, 1, 37, 200)) -> RelabelIndex:
     rng = np.random.default_rng(0)
-    return RelabelIndex.build([make_episode(rng, steps).achieved for steps in lengths], ACHIEVED, FPS, SettlingConfig())
+    return RelabelIndex.build(
+        [make_episode(rng, steps).achieved for steps in lengths], ACHIEVED, FPS, SettlingConfig(), QUANTITIES.achieved
+    )
 
 
 TABLE = _table()
@@ -176,7 +178,9 @@ def test_windows_are_in_seconds(kind: str) -> None:
     steps = 60_000  # long enough that nothing is cut at its end
     slow, fast = (
         dataclasses.replace(
-            RelabelIndex.build([np.zeros((steps * k + 1, 1), np.float32)], ("red.x",), FPS, SettlingConfig()),
+            RelabelIndex.build(
+                [np.zeros((steps * k + 1, 1), np.float32)], ("red.x",), FPS, SettlingConfig(), ("length x",)
+            ),
             fps=FPS * k,
         )
         for k in (1, 5)
@@ -237,7 +241,9 @@ def test_steps_after_the_last_settled_moment_are_left_out() -> None:
 
 
 def test_a_store_that_never_settles_has_no_settled_goal() -> None:
-    still = RelabelIndex.build([np.zeros((50, 2), np.float32)], ("red.x", "red.y"), FPS, SettlingConfig())
+    still = RelabelIndex.build(
+        [np.zeros((50, 2), np.float32)], ("red.x", "red.y"), FPS, SettlingConfig(), ("length x", "length y")
+    )
     for slack in (0.0, 1.0):
         assert not SettledConfig(settle_slack=slack).build().valid(still, *_steps(still)).any()
 

@@ -10,6 +10,7 @@ import pytest
 
 from playlearn.episode import Array, Episode, EpisodeMeta
 from playlearn.errors import UsageError
+from playlearn.quantity import Quantities
 from playlearn.relabeling import RelabelIndex, SettlingConfig
 from playlearn.report.play import SkillAttempt, attempts, figures
 from playlearn.store import NativeStore, StoreSpec
@@ -140,6 +141,18 @@ def test_noise_is_the_executed_action_minus_the_label(tmp_path: Path) -> None:
     # `tests.synthetic` adds a spread of 0.05 and clips, which takes a little of it away.
     assert [row["noise"] for row in play["dimensions"].values()] == pytest.approx([0.05] * 4, rel=0.1)
     assert all(sum(row["executed"]) == sum(row["label"]) == 800 for row in play["dimensions"].values())
+    assert all(row["edges"] == [-1.0, 1.0] for row in play["dimensions"].values())
+
+
+def test_actions_of_any_unit_are_all_counted(tmp_path: Path) -> None:
+    """In degrees, of which most lie beyond 1."""
+    played = make_episode(np.random.default_rng(0))
+    meta = dataclasses.replace(played.meta, quantities=Quantities())
+    degrees = {name: getattr(played, name) * np.float32(90) for name in ("action", "expert_action")}
+    play = figures(stored(tmp_path / "play", dataclasses.replace(played, meta=meta, **degrees)))
+    for row in play["actions"]["dimensions"].values():
+        assert sum(row["executed"]) == sum(row["label"]) == 200
+        assert row["edges"][1] > 45
 
 
 def test_a_store_without_annotations_or_end_effector_has_the_other_statistics(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 from playlearn.errors import StoreError
+from playlearn.quantity import Quantities
 from playlearn.relabeling import RelabelIndex, SettlingConfig
 from playlearn.report.timeline import FRAMES, drawing, timeline
 from playlearn.report.view import view_episode
@@ -75,7 +76,7 @@ def test_what_was_never_seen_achieved_or_settled_can_be_drawn(tmp_path: Path) ->
     made = make_episode(np.random.default_rng(0), 60)
     bare = dataclasses.replace(
         made,
-        meta=dataclasses.replace(made.meta, achieved_names=()),
+        meta=dataclasses.replace(made.meta, achieved_names=(), quantities=Quantities()),
         state=np.zeros_like(made.state),
         achieved=np.zeros((61, 0), np.float32),
     )

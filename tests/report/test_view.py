@@ -21,7 +21,7 @@ from playlearn.report.page import Shown, page
 from playlearn.report.pictures import Pictures, encode_still
 from playlearn.report.view import view_episode, view_results
 from playlearn.store import NativeStore
-from tests.synthetic import make_store
+from tests.synthetic import QUANTITIES, make_store
 
 
 def logged(path: Path) -> dict[str, dict[str, list[Any]]]:
@@ -77,7 +77,9 @@ def test_events_name_skills_and_settled_moments(store: NativeStore, episode_file
     begins = [0, *(np.flatnonzero(np.diff(episode.skill)) + 1)]
     for t in begins:
         assert events_at[t] == episode.meta.skills[episode.skill[t]]
-    moments, _ = RelabelIndex.build([episode.achieved], episode.meta.achieved_names, 20.0, SettlingConfig()).settled(0)
+    moments, _ = RelabelIndex.build(
+        [episode.achieved], episode.meta.achieved_names, 20.0, SettlingConfig(), QUANTITIES.achieved
+    ).settled(0)
     assert len(moments) >= 1
     for moment in moments:
         assert events_at[moment].startswith("settled: ")
@@ -87,7 +89,9 @@ def test_events_name_skills_and_settled_moments(store: NativeStore, episode_file
 
 def test_beside_each_camera_is_the_goal_that_comes_next(store: NativeStore, episode_file: Path) -> None:
     found, episode = logged(episode_file), store.read(1)
-    moments, _ = RelabelIndex.build([episode.achieved], episode.meta.achieved_names, 20.0, SettlingConfig()).settled(0)
+    moments, _ = RelabelIndex.build(
+        [episode.achieved], episode.meta.achieved_names, 20.0, SettlingConfig(), QUANTITIES.achieved
+    ).settled(0)
     goals = found["/goal/front"]
     np.testing.assert_array_equal(pictures(goals, 6, 8), episode.images["front"][moments])
     # The first from the beginning, each other from where the one before it was reached; then none.

@@ -12,6 +12,7 @@ import pytest
 from playlearn.cli import main
 from playlearn.episode import Array
 from playlearn.errors import StoreError, UsageError
+from playlearn.quantity import Quantities
 from playlearn.store import NativeStore
 from playlearn.store import npz as npz_module
 from playlearn.store.importing import import_recordings
@@ -70,6 +71,40 @@ def test_robomimic_values_are_kept(tmp_path: Path) -> None:
     assert store.verify() == []
     note = json.loads((tmp_path / "store" / "import.json").read_text())
     assert note["splits"] == {"train": [k for k in range(12) if k % 3], "valid": [0, 3, 6, 9]}
+
+
+OSC = {"type": "OSC_POSE", "input_max": 1, "input_min": -1, "control_delta": True}
+
+
+@pytest.mark.parametrize(
+    ("controller", "bounded"),
+    [
+        (OSC, True),
+        ([OSC, OSC], True),
+        ({"type": "BASIC", "body_parts": {"right": {**OSC, "input_type": "delta", "gripper": {"type": "GRIP"}}}}, True),
+        ({**OSC, "input_max": [1] * 6, "input_min": [-1] * 6}, True),
+        ({**OSC, "control_delta": False}, False),
+        ({"type": "BASIC", "body_parts": {"right": {**OSC, "input_type": "absolute"}}}, False),
+        ({**OSC, "input_max": [1, 1, 1, 0.5, 0.5, 0.5]}, False),
+        (None, False),
+    ],
+)
+def test_robosuites_controllers_say_what_bounds_their_actions(controller: Any, bounded: bool, tmp_path: Path) -> None:
+    def change(data: Any) -> None:
+        kwargs = {"control_freq": 20, "controller_configs": controller}
+        data.attrs["env_args"] = json.dumps({"env_name": "Lift", "type": 1, "env_kwargs": kwargs})
+
+    given = RobomimicFile(robomimic(tmp_path / "a.hdf5", demos=2, change=change)).spec.quantities
+    assert given.action_bounds == (((-1.0, 1.0),) * 7 if bounded else ())
+    assert given.state[:4] == ("length x", "length y", "length z", "quaternion robot0_eef_quat")
+    assert given.state[7:] == ("", "")
+
+
+def test_of_another_simulators_numbers_nothing_is_known(tmp_path: Path) -> None:
+    def change(data: Any) -> None:
+        data.attrs["env_args"] = json.dumps({"env_name": "Reach", "type": 2, "env_kwargs": {"controller_configs": OSC}})
+
+    assert RobomimicFile(robomimic(tmp_path / "a.hdf5", demos=2, change=change)).spec.quantities == Quantities()
 
 
 def test_keys_and_masks_can_be_selected(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ import pytest
 from playlearn.config import from_dict
 from playlearn.data import DataConfig, PlayDataset
 from playlearn.errors import StoreError, UsageError
+from playlearn.quantity import Quantities
 from playlearn.relabeling import UniformConfig
 from playlearn.store import LeRobotStoreConfig, NativeStore, Store, StoreConfig, open_store
 from playlearn.store.importing import import_recordings
@@ -22,7 +23,7 @@ from playlearn.store.lerobot import frames
 from playlearn.store.lerobot.export import export_lerobot
 from playlearn.store.lerobot.reader import LeRobotStore
 from playlearn.store.lerobot.recordings import LeRobotRecordings
-from tests.synthetic import make_store
+from tests.synthetic import QUANTITIES, make_store
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # what LeRobot and the packages below it warn of is theirs to fix
 CAMERAS = {"front": (16, 24), "wrist": (16, 16)}
@@ -99,6 +100,44 @@ def test_a_dataset_without_sidecars_is_one_step_shorter(store: NativeStore, with
     assert [(its.meta.skills or (its.meta.task,))[skill] for skill in its.skill] == skills
     assert bool(its.meta.skills) == (len(set(skills)) > 1)
     assert its.meta.state_names == mine.meta.state_names
+    # What numbers measure is the dataset's own.
+    assert back.spec.quantities == its.meta.quantities == store.spec.quantities == QUANTITIES
+
+
+@pytest.mark.parametrize(
+    ("key", "entry", "message"),
+    [
+        ("observation.state", {"quantities": ["length x"]}, "quantities of observation.state must give each of its 4"),
+        ("observation.state", {"quantities": ["meter"] * 4}, r"a kind \(length, direction"),
+        (
+            "action",
+            {"bounds": [[-1, 1], None, [1, -1], None]},
+            r"bounds of action must give each of its 4 numb",
+        ),
+        ("action", {"bounds": "yes"}, "bounds of action"),
+        ("action", {"bounds": 3}, "bounds of action"),
+        ("observation.state", {"quantities": 3}, "quantities of observation.state"),
+    ],
+)
+def test_a_declaration_that_does_not_fit_is_refused(
+    key: str, entry: dict[str, Any], message: str, without_sidecars: Path
+) -> None:
+    path = without_sidecars / "meta" / "info.json"
+    info = json.loads(path.read_text())
+    info["features"][key] |= entry
+    path.write_text(json.dumps(info))
+    with pytest.raises(StoreError, match=message):
+        opened(without_sidecars)
+
+
+def test_without_a_declaration_nothing_is_known(without_sidecars: Path) -> None:
+    path = without_sidecars / "meta" / "info.json"
+    info = json.loads(path.read_text())
+    for feature in info["features"].values():
+        feature.pop("quantities", None)
+        feature.pop("bounds", None)
+    path.write_text(json.dumps(info))
+    assert opened(without_sidecars).spec.quantities == Quantities()
 
 
 def test_a_dataset_trains_as_a_store_does(store: NativeStore, copy: Path) -> None:

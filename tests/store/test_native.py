@@ -16,6 +16,7 @@ from safetensors.numpy import load_file
 from playlearn.episode import Episode
 from playlearn.errors import BusyError, DiskError, EpisodeError, StoreError
 from playlearn.store import NativeStore, NativeStoreConfig, StoreSpec, episode_path, open_store, write_episode
+from playlearn.store.base import to_json
 from playlearn.store.mmap_cache import OPEN_MAPS
 from tests.synthetic import SKILLS, make_episode, make_store
 
@@ -28,7 +29,7 @@ def rng() -> np.random.Generator:
 def same(one: Episode, other: Episode) -> bool:
     mine, its = one.arrays(), other.arrays()
     equal = mine.keys() == its.keys() and all(np.array_equal(mine[key], its[key]) for key in mine)
-    return equal and json.dumps(vars(one.meta), default=dict) == json.dumps(vars(other.meta), default=dict)
+    return equal and to_json(one.meta) == to_json(other.meta)
 
 
 def test_episodes_read_back_equal(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -317,3 +318,24 @@ def test_info_counts_what_is_there(tmp_path: Path, rng: np.random.Generator) -> 
 def test_a_config_opens_its_store(tmp_path: Path, rng: np.random.Generator) -> None:
     make_store(tmp_path / "play", rng, 1, 5)
     assert len(NativeStoreConfig(tmp_path / "play").build()) == 1
+
+
+def test_a_store_that_does_not_say_what_its_numbers_measure_is_refused(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    make_store(tmp_path / "play", rng, 1, 5)
+    path = tmp_path / "play" / "store.json"
+    description = json.loads(path.read_text())
+    del description["quantities"]
+    path.write_text(json.dumps(description))
+    with pytest.raises(
+        StoreError, match=r"store\.json: .*what its numbers measure .*; collect or import the recording again"
+    ):
+        NativeStore.open(tmp_path / "play")
+
+
+def test_a_declaration_is_of_every_number(rng: np.random.Generator) -> None:
+    episode = make_episode(rng, 5)
+    short = dataclasses.replace(episode.meta.quantities, state=("length x",))
+    with pytest.raises(EpisodeError, match=r"quantities\.state declares 1 of 4"):
+        dataclasses.replace(episode, meta=dataclasses.replace(episode.meta, quantities=short))

@@ -18,7 +18,7 @@ from playlearn.store import NativeStore, StoreSpec
 from playlearn.store.importing import import_recordings
 from playlearn.store.robomimic import RobomimicConfig, RobomimicFile
 from playlearn.store.robomimic_export import export_robomimic
-from tests.synthetic import make_episode
+from tests.synthetic import QUANTITIES, make_episode
 
 h5py = pytest.importorskip("h5py", reason="the extra `robomimic` is not installed")
 CAMERAS = {"front": (16, 24)}
@@ -45,6 +45,7 @@ def test_an_export_reads_back_without_the_last_step(store: NativeStore, tmp_path
     assert [back.meta(i).success for i in range(3)] == [True, False, None]
     assert (back.spec.state_names, back.spec.achieved_names) == (store.spec.state_names, store.spec.achieved_names)
     assert back.spec.action_names == store.spec.action_names
+    assert back.spec.quantities == store.spec.quantities == QUANTITIES
     for i in range(3):
         mine, its = store.read(i), back.read(i)
         assert len(its) == len(mine) - 1  # the importer reads `obs`, in which the last observation is not

@@ -45,6 +45,9 @@ def test_end_effector_and_cube_have_their_simulated_positions(lift: Any, tmp_pat
     assert store.spec.environment["type"] == "robosuite:Lift"
     assert store.spec.fps == 20
     assert store.spec.achieved_names == tuple(f"cube_joint0.{p}" for p in ("x", "y", "z", "qw", "qx", "qy", "qz"))
+    assert store.spec.quantities.achieved[2:] == ("length z", *("quaternion cube_joint0",) * 4)
+    assert store.spec.quantities.state[-1] == "plain q1"
+    assert store.spec.quantities.action_bounds == ()  # its `env_info` names no controller
     lift.reset(2)
     for _ in range(3):
         lift.step(np.array([0.3, 0.2, -0.2, 0, 0, 0, 1.0]))

@@ -46,5 +46,6 @@ def moving_robot(path: Path, *, objects: bool) -> Path:
 
 
 def without_objects(episode: Episode) -> Episode:
-    meta = dataclasses.replace(episode.meta, achieved_names=())
+    own = dataclasses.replace(episode.meta.quantities, achieved=())
+    meta = dataclasses.replace(episode.meta, achieved_names=(), quantities=own)
     return dataclasses.replace(episode, meta=meta, achieved=episode.achieved[:, :0])

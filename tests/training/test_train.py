@@ -1,5 +1,6 @@
 """Laws of training: resumption, interruption, what a run leaves, and what it refuses."""
 
+import contextlib
 import dataclasses
 import importlib.metadata
 import json
@@ -21,13 +22,15 @@ from playlearn.config import from_dict, load_config
 from playlearn.data import PlayDataset, statistics
 from playlearn.errors import CheckpointError, NotLearnedError, StoreError, UsageError
 from playlearn.policies import Policy
-from playlearn.policies.normalize import pooled
+from playlearn.policies.normalize import scaled
+from playlearn.quantity import Quantities
 from playlearn.report.progress import Pace
+from playlearn.store import NativeStore, StoreSpec
 from playlearn.threads import limit
 from playlearn.training import TrainConfig, train
 from playlearn.training import job as module
 from tests.policies.parts import small
-from tests.synthetic import make_store
+from tests.synthetic import make_episode, make_store
 
 torch.set_num_threads(1)
 CONFIGS = sorted((Path(__file__).parents[2] / "configs" / "train").glob("*.yaml"))
@@ -130,12 +133,39 @@ def test_statistics_come_from_the_training_episodes(play: Path, tmp_path: Path) 
     train(settings, tmp_path / "run")
     policy = Policy.load(tmp_path / "run" / "policy")
     data = settings.resolved().data.build(module.open_store(play), "train", 0)
-    names = {"state": policy.spec.state_names, "achieved": policy.spec.achieved_names}
-    expected = pooled(statistics(data), names)
+    expected = scaled(statistics(data), policy.spec)
     for name in ("state", "achieved"):
         for what in ("mean", "std"):
             stored = policy.normalizer.get_buffer(f"{name}_{what}")
             torch.testing.assert_close(stored, torch.from_numpy(getattr(expected[name], what)))
+
+
+def test_play_in_other_units_is_learned_alike(tmp_path: Path) -> None:
+    """All numbers times 1e-4, and nobody says what they measure: the same loss and error, in shares of a spread."""
+    episodes = [make_episode(np.random.default_rng(seed), 120, seed=seed) for seed in range(3)]
+    found = []
+    for scale in (1.0, 1e-4):
+        units = [
+            dataclasses.replace(
+                one,
+                meta=dataclasses.replace(one.meta, quantities=Quantities()),
+                **{
+                    name: getattr(one, name) * np.float32(scale)
+                    for name in ("state", "achieved", "action", "expert_action")
+                },
+            )
+            for one in episodes
+        ]
+        store = NativeStore.create(tmp_path / f"{scale}", StoreSpec.of(units[0]))
+        with store.writer() as writer:
+            for episode in units:
+                writer.append(episode)
+        with contextlib.suppress(NotLearnedError):  # its actions are noise
+            train(config(store.path, steps=4, data={"val_fraction": 0.3}), tmp_path / f"run{scale}")
+        found.append([line for line in metrics(tmp_path / f"run{scale}") if "val/loss" in line][-1])
+    for name in ("val/loss", "val/action_error"):
+        assert found[1][name] == pytest.approx(found[0][name], rel=1e-3)
+    assert found[0]["val/action_error"] > 0.3  # of a spread: after 4 updates nothing is learned yet
 
 
 def test_training_learns(play: Path, tmp_path: Path) -> None:

@@ -28,6 +28,7 @@ from ogbench.manipspace.envs.manipspace_env import ManipSpaceEnv
 from playlearn.envs.ogbench.picture import Pictures
 from playlearn.episode import Array, Observation
 from playlearn.errors import UsageError
+from playlearn.quantity import own_quantities
 from playlearn.sim.checks import check_physics, checked_action
 from playlearn.sim.environment import CameraConfig, EnvironmentConfig, EnvironmentSpec, Task
 from playlearn.sim.rendering.gl import backend
@@ -106,6 +107,7 @@ class OgbenchEnv:
             state_names=STATE_NAMES,
             achieved_names=tuple(achieved_names),
             action_names=ACTION_NAMES,
+            quantities=own_quantities(STATE_NAMES, achieved_names, len(ACTION_NAMES)),
             cameras=tuple(cameras),
             fps=1.0 / self.env.control_timestep(),
             controller={"type": "OGBench", "robot": "UR5e", "output_max": self.env.action_high.tolist()},

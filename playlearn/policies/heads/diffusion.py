@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import torch
 from torch import Tensor
 
 from playlearn.policies.heads.base import HeadConfig
@@ -25,7 +26,7 @@ class DiffusionConfig(HeadConfig):
     sampler: how chunks are drawn.
     sample_steps: denoising steps of a draw.
     noise_draws: noised copies of each chunk in one update; the encoder, which costs most, runs once for all of them.
-    clip: bound on the predicted clean chunk, in standard deviations of the data (ddim).
+    clip: bound on the predicted clean chunk, in standard deviations of the data (ddim); wider where the data are.
     """
 
     width: int = 512
@@ -43,16 +44,25 @@ class DiffusionConfig(HeadConfig):
 
 
 class DiffusionHead(DenoisingHead):
+    """reach (): what the predicted clean chunk is clipped to, in standard deviations of the data."""
+
+    reach: Tensor
+
     def __init__(self, config: DiffusionConfig, width: int, chunk: int, actions: int) -> None:
         super().__init__((chunk, actions), config.train_steps, config.noise_draws)
         # diffusers takes a second to import: only this head pays
         from diffusers.schedulers.scheduling_ddpm import DDPMScheduler
 
         self.config = config
+        self.register_buffer("reach", torch.tensor(config.clip))
         self.denoiser = Denoiser(config.width, config.blocks, config.train_steps, width, chunk * actions)
         self.noiser = DDPMScheduler(
             num_train_timesteps=config.train_steps, beta_schedule=config.schedule, prediction_type=config.prediction
         )
+
+    def fit_action_statistics(self, chunks: Tensor) -> None:
+        """Reach as far as the data do: what is rarely other than 0 lies many of its standard deviations away."""
+        self.reach.copy_(chunks.abs().max().clamp(min=self.config.clip))
 
     @property
     def network(self) -> Denoiser:
@@ -87,7 +97,7 @@ class DiffusionHead(DenoisingHead):
         if config.sampler == "ddim":
             # trailing spacing starts from the noisiest step, as sampling itself does
             sampler = DDIMScheduler(
-                **shared, clip_sample=True, clip_sample_range=config.clip, timestep_spacing="trailing"
+                **shared, clip_sample=True, clip_sample_range=float(self.reach), timestep_spacing="trailing"
             )
         else:
             sampler = DPMSolverMultistepScheduler(**shared, timestep_spacing="trailing")

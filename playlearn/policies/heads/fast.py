@@ -32,7 +32,8 @@ BYTES = 1 << 16  # kept for the tokenizer in a checkpoint
 class FastConfig(HeadConfig):
     """Chunks as tokens of their frequencies.
 
-    scale: rounding steps of a coefficient in a standard deviation of the data.
+    scale: rounding steps of a coefficient in a standard deviation of the data; fewer where the data reach so far that
+        they would not be enough.
     vocabulary: tokens of the byte pair encoding.
     width: of the causal decoder.
     layers: of the causal decoder.
@@ -54,12 +55,17 @@ class FastConfig(HeadConfig):
 
 
 class FastHead(Head):
+    """scale (A,): rounding steps of a coefficient of each action."""
+
+    scale: Tensor
+
     def __init__(self, config: FastConfig, width: int, chunk: int, actions: int) -> None:
         super().__init__()
         self.config, self.shape = config, (chunk, actions)
         self.end = config.vocabulary
         self.longest = chunk * actions + 1  # a token for every letter, and the end token
         self.register_buffer("cosines", _cosines(chunk), persistent=False)
+        self.register_buffer("scale", torch.full((actions,), config.scale))
         self.register_buffer(
             "tokenizer_bytes", torch.zeros(BYTES, dtype=torch.uint8)
         )  # the tokenizer's JSON, then zeros
@@ -72,9 +78,12 @@ class FastHead(Head):
         self.register_load_state_dict_post_hook(lambda head, _: head._read())  # type: ignore[no-untyped-call]
 
     def fit_action_statistics(self, chunks: Tensor) -> None:
-        """Learn the vocabulary; of single actions (H = 1), consecutive ones make a chunk."""
+        """Learn the reach of coefficients and the vocabulary; single actions (H = 1) in a row make a chunk."""
         steps, count = chunks.flatten(0, 1), chunks.shape[0] * chunks.shape[1] // self.shape[0]
         whole = steps[: count * self.shape[0]].reshape(count, *self.shape)
+        if len(whole):
+            furthest = self._coefficients(whole).abs().amax((0, 1))  # (A,)
+            self.scale.copy_((MOST / furthest).clamp(max=self.config.scale))
         self._learn(self._texts(whole[:: max(1, len(whole) // CHUNKS)]))
 
     def token_ids_of(self, chunk: Tensor) -> Tensor:
@@ -91,7 +100,7 @@ class FastHead(Head):
             letters = [letter for token_id in ids for letter in self._letters[token_id]][: self.longest - 1]
             rows.append(letters + [0] * (self.longest - 1 - len(letters)))
         rounded = torch.tensor(rows, dtype=torch.float32, device=token_ids.device).view(-1, *self.shape)  # (B, F, A)
-        return torch.einsum("fh,bfa->bha", self.get_buffer("cosines"), rounded / self.config.scale)
+        return torch.einsum("fh,bfa->bha", self.get_buffer("cosines"), rounded / self.scale)
 
     def loss(
         self, features: Tensor, chunk: Tensor, mask: Tensor, generator: torch.Generator, updates: int | None = None
@@ -139,10 +148,13 @@ class FastHead(Head):
             hidden = given + rows.expand(self.token_embedding(token_id))
         return self.numbers(torch.stack(token_ids, dim=1))
 
+    def _coefficients(self, chunk: Tensor) -> Tensor:
+        """(B, H, A) -> (B, F, A)."""
+        return torch.einsum("fh,bha->bfa", self.get_buffer("cosines"), chunk)
+
     def _texts(self, chunk: Tensor) -> list[str]:
         """A letter for each rounded coefficient, the lowest frequency of every action first."""
-        coefficients = torch.einsum("fh,bha->bfa", self.get_buffer("cosines"), chunk) * self.config.scale
-        letters = coefficients.round().clamp(-MOST, MOST).long().flatten(1) + MOST + FIRST
+        letters = (self._coefficients(chunk) * self.scale).round().clamp(-MOST, MOST).long().flatten(1) + MOST + FIRST
         return ["".join(map(chr, row)) for row in letters.tolist()]
 
     def _learn(self, texts: list[str]) -> None:

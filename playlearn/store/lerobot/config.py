@@ -31,6 +31,10 @@ class LeRobotStoreConfig(StoreConfig):
     skip_broken: leave out the episodes that cannot be read.
     success: which episodes succeeded, a rule such as `all`, `none`, `dones`, `reward>=1` or `last_reward>=0` (null: as
         `next.success` says, else unknown).
+
+    LeRobot does not say what a number measures. Each dimension therefore has its own mean, spread and thresholds, and
+    no bounds, unless features of `meta/info.json` say more, as those that `export lerobot` writes do: `quantities`, a
+    text a dimension (see `quantity.py`), and `bounds` of actions, `[lowest, highest]` or null.
     """
 
     root: Path | None = None

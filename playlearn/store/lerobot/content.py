@@ -24,7 +24,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from playlearn.episode import IMAGES, Array, Episode
+from playlearn.quantity import Quantities
 from playlearn.store.base import Store, StoreSpec
+from playlearn.store.lerobot.metadata import BOUNDS, QUANTITIES
 
 PLAY = "play"  # task of a step that has neither a task nor a skill
 STATE, ACHIEVED, ACTION = "observation.state", "observation.environment_state", "action"
@@ -94,7 +96,9 @@ class Play:
 
     def features(self) -> Features:
         spec = self.store.spec
+        given = spec.quantities
         made = vectors({STATE: spec.state_names, ACHIEVED: spec.achieved_names, ACTION: spec.action_names})
+        made = declared(made, {STATE: given.state, ACHIEVED: given.achieved}, given)
         made |= flags(INTERVENTION, *([SUCCESS] if self.has_success else []))
         made |= {NEXT_REWARD: {"dtype": "float32", "shape": (1,), "names": None}} if self.has_reward else {}
         return made | image_features(self.store.cameras())
@@ -161,6 +165,14 @@ def vectors(named: Mapping[str, tuple[str, ...]]) -> Features:
     return {
         k: {"dtype": "float32", "shape": (len(names),), "names": list(names)} for k, names in named.items() if names
     }
+
+
+def declared(features: Features, quantities: Mapping[str, tuple[str, ...]], given: Quantities) -> Features:
+    """The same with what their numbers measure and what bounds the actions, which LeRobot keeps and does not read."""
+    added: dict[str, dict[str, Any]] = {key: {QUANTITIES: list(own)} for key, own in quantities.items() if own}
+    if given.action_bounds:
+        added[ACTION] = {BOUNDS: [pair and list(pair) for pair in given.action_bounds]}
+    return {key: {**feature, **added.get(key, {})} for key, feature in features.items()}
 
 
 def flags(*keys: str) -> Features:

@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from playlearn.errors import MissingStoreError, StoreError
+from playlearn.quantity import KINDS, Bounds, kind
 from playlearn.store.lerobot.features import Camera, check_features, read_cameras, vector_size
 from playlearn.store.lerobot.names import read_names
 
@@ -21,6 +22,7 @@ TASKS = "meta/tasks.parquet"
 EPISODES = "meta/episodes"
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+QUANTITIES, BOUNDS = "quantities", "bounds"  # what a feature's numbers measure, and between what an action lies
 PICKLES = (".pkl", ".pickle", ".pt", ".pth", ".joblib")
 UNREADABLE = (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, pa.ArrowException)
 
@@ -92,6 +94,45 @@ class DatasetMetadata:
             return (), ""
         feature = self.features[key]
         return read_names(key, feature.get("names"), vector_size(key, feature))
+
+    def quantities(self, key: str) -> tuple[str, ...]:
+        """What each dimension of a feature measures (see `quantity.py`); () where nobody said.
+
+        Raises:
+            StoreError: it is not said of each dimension, or of a kind that is not known.
+        """
+        given = self.features.get(key, {}).get(QUANTITIES)
+        if given is None:
+            return ()
+        size = len(self.names(key))
+        known = isinstance(given, list) and all(text == "" or kind(str(text)) in KINDS for text in given)
+        if not known or len(given) != size:
+            raise StoreError(
+                f"{self.root / INFO}: {QUANTITIES} of {key} must give each of its {size} numbers a kind "
+                f"({', '.join(KINDS)}) and a group, or an empty text: {given}"
+            )
+        return tuple(map(str, given))
+
+    def bounds(self, key: str) -> Bounds:
+        """The lowest and highest value of each dimension of a feature, None without; () where nobody said.
+
+        Raises:
+            StoreError: they are not two rising numbers, or none, of each dimension.
+        """
+        given = self.features.get(key, {}).get(BOUNDS)
+        if given is None:
+            return ()
+        try:
+            pairs = tuple(None if pair is None else (float(pair[0]), float(pair[1])) for pair in given)
+            sound = len(pairs) == len(self.names(key)) and all(pair is None or pair[0] < pair[1] for pair in pairs)
+        except UNREADABLE:
+            sound = False
+        if not sound:
+            raise StoreError(
+                f"{self.root / INFO}: {BOUNDS} of {key} must give each of its {len(self.names(key))} numbers "
+                f"[lowest, highest] or null: {given}"
+            )
+        return pairs
 
 
 def is_lerobot(root: Path) -> bool:

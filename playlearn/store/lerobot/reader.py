@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from playlearn.config import digest, make_folder
 from playlearn.episode import IMAGES, REWARD, STORED, Array, Episode, EpisodeMeta
 from playlearn.errors import DiskError, EpisodeError, StoreError, UsageError
+from playlearn.quantity import Quantities, subset
 from playlearn.store.base import StoreSpec, spec_digest, summary
 from playlearn.store.lerobot import check, sidecar
 from playlearn.store.lerobot.content import NEXT_REWARD, SUCCESS
@@ -125,6 +126,7 @@ class LeRobotStore:
             task=tasks[0] if len(tasks) == 1 else "",
             verbatim=True,
             success=success,
+            quantities=self.spec.quantities,
         )
 
     def read(self, i: int) -> Episode:
@@ -201,8 +203,11 @@ class LeRobotStore:
             return dataclasses.replace(StoreSpec.of_shapes(first, {}), cameras=self._sizes)
         metadata = self._metadata
         environment = {"type": "lerobot", "robot": metadata.robot}
-        state, action = (metadata.names(self._keys[part]) for part in ("state", "action"))
-        return StoreSpec(environment, state, self._objects.goals(), action, metadata.fps, self._sizes)
+        state, achieved, action = (self._keys.get(part, "") for part in ("state", "achieved", "action"))
+        names = metadata.names(state), self._objects.goals(), metadata.names(action)
+        measured = metadata.quantities(state), subset(metadata.quantities(achieved), self._objects.kept)
+        quantities = Quantities(*measured, metadata.bounds(action))
+        return StoreSpec(environment, *names, metadata.fps, self._sizes, quantities)
 
     def _exact_array(self, i: int, row: Row, key: str) -> Array:
         arrays = self._sidecar_maps.get(i, self._sidecars[row.index].arrays)

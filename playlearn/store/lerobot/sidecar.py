@@ -64,6 +64,8 @@ class Sidecar:
     def meta(self) -> EpisodeMeta:
         try:
             return from_json(EpisodeMeta, self.header.metadata["meta"])
+        except StoreError as error:
+            raise StoreError(f"{self.path}: {error}") from error
         except DAMAGED as error:
             raise StoreError(f"{self.path} cannot be read ({error}): fetch it again") from error
 
