@@ -20,6 +20,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from PIL import Image
 
+from playlearn.config import atomic_write, make_folder
 from playlearn.episode import Array, Episode
 from playlearn.errors import PlaylearnError, UsageError
 from playlearn.layout import ObjectLayout
@@ -96,15 +97,12 @@ def _show(
         recording.flush()
         return None
     out = save or Path(f"{name}.rrd")
-    out.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = out.with_name(f".{out.name}.tmp")
-    try:
-        recording.save(unfinished, default_blueprint=rrb.Blueprint(layout))
-        log(recording)
-        recording.disconnect()
-        unfinished.replace(out)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    in_memory = recording.memory_recording()  # a sink that is a file says nothing where the disk is full
+    recording.send_blueprint(rrb.Blueprint(layout), make_active=False, make_default=True)
+    log(recording)
+    make_folder(out.parent)
+    atomic_write(out, in_memory.drain_as_bytes())
+    recording.disconnect()
     print(f"wrote {out}; open it on a machine with a display: rerun {out}")
     return out
 

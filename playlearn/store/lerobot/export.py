@@ -128,6 +128,7 @@ def _logged_errors() -> Iterator[None]:
     handler.emit = lambda record: logged.append(record.getMessage())  # type: ignore[method-assign]
     logger = logging.getLogger("lerobot")
     logger.addHandler(handler)
+    propagate, logger.propagate = logger.propagate, False  # one line, not one an image
     try:
         yield
     except Exception as error:
@@ -136,6 +137,7 @@ def _logged_errors() -> Iterator[None]:
         raise
     finally:
         logger.removeHandler(handler)
+        logger.propagate = propagate
     if logged:
         raise _logged_error(logged[0])
 
