@@ -144,9 +144,11 @@ def _run(
 def _claim(config: CompareConfig, runs: Mapping[tuple[str, int], TrainConfig], out: Path) -> None:
     # A variant or a seed may be added or left out; the runs that are there stay.
     folder = RunFolder(out, "compare.yaml", "comparison", adjustable=("seeds",), entries=("variants",))
-    inputs = _inputs(config, runs, out)
-    if folder.begun():
+    begun = folder.begun()
+    if begun:
         folder.check_same(to_dict(load_config(CompareConfig, folder.file), out), to_dict(config, out))
+    inputs = _inputs(config, runs, out)
+    if begun:
         folder.check_inputs(inputs)
     folder.keep_inputs({**folder.inputs(), **inputs})
     save_config(config, folder.file)

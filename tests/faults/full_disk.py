@@ -85,7 +85,7 @@ def sweep(disk: Disk, act: Callable[[], Any], growing: tuple[str, ...]) -> int:
         assert f"{disk.folder}" in message, message
         assert "the disk is full" in message, message
         assert pages * PAGE < shutil.disk_usage(disk.folder).total, "too small a disk for it"
-        failed, pages = failed + 1, 2 * pages + 1
+        failed, pages = failed + 1, 8 * pages + 1
         after = disk.files()
         left = [name for name in disk.folder.rglob("*") if name.name.endswith(TEMPORARY)]
         assert left == [], f"{left} with {pages} pages"

@@ -1,12 +1,15 @@
 """Under LeRobot, a goal that is the robot's own pose is given as one; what is not finite is not learned from."""
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
@@ -176,7 +179,9 @@ def test_what_only_training_reads_is_asked_for_then(tmp_path: Path) -> None:
     assert loss.isfinite()
 
 
-def test_what_the_dataset_cannot_give_is_refused(fresh: Callable[..., tuple[Any, Any]], tmp_path: Path) -> None:
+def test_what_the_dataset_cannot_give_is_refused(
+    relabeled: Path, fresh: Callable[..., tuple[Any, Any]], tmp_path: Path
+) -> None:
     recipe = tmp_path / "recipe.yaml"
     recipe.write_text(json.dumps({"policy": {"encoder": small("state")}}))
     with pytest.raises(UsageError, match=r"`policy.encoder.goal_proprio: true`"):
@@ -189,8 +194,18 @@ def test_what_the_dataset_cannot_give_is_refused(fresh: Callable[..., tuple[Any,
     with pytest.raises(UsageError, match=f"the policy reads {PROPRIO}, which the dataset lacks: write it with"):
         fresh(change=older)
 
-    def damaged(meta: Any) -> None:
-        meta.stats["observation.state"]["std"][2] = np.nan
+    damaged = Path(shutil.copytree(relabeled, tmp_path / "damaged")) / "goals"
+    for path in damaged.glob("data/*/*.parquet"):
+        rows = pq.read_table(path)
+        state = np.stack(rows["observation.state"].to_numpy()).astype(np.float32)
+        state[3, 2] = np.nan
+        column = pa.FixedSizeListArray.from_arrays(pa.array(state.ravel()), state.shape[1])
+        pq.write_table(
+            rows.set_column(rows.schema.get_field_index("observation.state"), "observation.state", column), path
+        )
 
-    with pytest.raises(StoreError, match=r"mean and std of state: eef.z is nan"):
-        fresh(change=damaged)
+    def elsewhere(meta: Any) -> None:
+        meta.root = damaged
+
+    with pytest.raises(StoreError, match=r"damaged/goals: observation.state: eef.z is nan in row 3"):
+        fresh(change=elsewhere)
