@@ -123,6 +123,20 @@ def test_the_card_is_one_that_the_hub_reads(written: Path, store: NativeStore) -
         assert str(array.dtype) in body
 
 
+def test_a_card_of_other_peoples_recordings_does_not_call_them_ours(store: NativeStore, tmp_path: Path) -> None:
+    """Neither scripted, nor made again by `collect`; those that were collected are both."""
+    theirs = dataclasses.replace(store.read(0), meta=dataclasses.replace(store.meta(0), versions={}, actor="unknown"))
+    imported = NativeStore.create(tmp_path / "imported", StoreSpec.of(theirs))
+    with imported.writer() as writer:
+        writer.append(theirs)
+    for one, ours in ((store, True), (imported, False)):
+        write_report(one, tmp_path / "README.md", no_environment)
+        cards = (tmp_path / "README.md").read_text(), lerobot_card(one, {}, {}, CardFacts("play", 1, False, False))
+        assert [("Unstructured play" in card) for card in cards] == [ours, ours]
+        assert ("collect.yaml" in cards[0]) == ours
+        assert ("Recorded elsewhere and imported; by unknown." in cards[0]) != ours
+
+
 def test_a_card_of_rewards_needs_no_names(store: NativeStore) -> None:
     features = {"next.reward": {"dtype": "float32", "shape": (1,), "names": None}}
     card = lerobot_card(store, features, {}, CardFacts("play", 2, goals=False, has_picture=False))
