@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from playlearn.evaluation import SuiteConfig
-    from playlearn.lerobot.env import GoalEnv
+    from playlearn.evaluation.goal_env import GoalEnv
 
 # gymnasium's name -> `type:` of the environment's config.
 ENVIRONMENTS = {
@@ -49,7 +49,7 @@ def make(
     """
     from playlearn.errors import UsageError
     from playlearn.evaluation import SuiteConfig, TasksConfig, load_suite
-    from playlearn.lerobot.env import GoalEnv
+    from playlearn.evaluation.goal_env import GoalEnv
     from playlearn.sim import EnvironmentConfig
 
     kind: Any = EnvironmentConfig.get_choice_class(environment)

@@ -31,7 +31,8 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"mask {name}: {len(here & set(numbers))} of its {len(numbers)} episodes")
     success = store.info()["success"]
     print("success: " + ", ".join(f"{what} {count}" for what, count in success.items()))
-    if success["unknown"] and "success" in recordings.note:
+    rewarded = any(store.rewards(i) is not None for i in range(len(store)))
+    if success["unknown"] and rewarded and "success" in recordings.note:
         print("a reward is not a success: say which episodes succeeded by --success, such as 'last_reward>=0' or all")
     return DONE
 

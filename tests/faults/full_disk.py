@@ -1,4 +1,4 @@
-"""Every writer on a disk that fills up: `python full_disk.py ROOMY_FOLDER SMALL_DISK`, one process for all of them.
+"""Every writer on a disk that fills up: `python full_disk.py ROOMY_FOLDER SMALL_DISK [WRITER ...]`, in one process.
 
 A filler leaves a writer so many pages, more from try to try, until it comes through. Each failure must be a DiskError
 that names a folder on that disk, and must leave every file that was whole as it was and nothing unfinished. Prints

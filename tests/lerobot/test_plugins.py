@@ -21,7 +21,7 @@ from tests.lerobot_dataset import vector, write_dataset
 from tests.policies.parts import small
 
 if TYPE_CHECKING:
-    from playlearn.lerobot.env import GoalEnv
+    from playlearn.evaluation.goal_env import GoalEnv
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # what LeRobot and the packages below it warn of is theirs to fix
 SUITE = SuiteConfig(
@@ -38,7 +38,7 @@ def their_env() -> "GoalEnv":
 
 def new_env() -> "GoalEnv":
     # LeRobot takes seconds to import: where it is asked for, not when tests are collected
-    from playlearn.lerobot.env import GoalEnv
+    from playlearn.evaluation.goal_env import GoalEnv
 
     return GoalEnv(SUITE, expert=point_expert)
 
@@ -84,7 +84,7 @@ def test_gymnasium_finds_nothing_to_blame_in_our_worlds(name: str) -> None:
     """It wants a reset and a step that depend on the seed alone, and every observation within its space."""
     from gymnasium.utils.env_checker import check_env
 
-    from playlearn.lerobot.env import GoalEnv
+    from playlearn.evaluation.goal_env import GoalEnv
 
     if name.startswith("ogbench"):
         pytest.importorskip("ogbench", reason="the extra `ogbench` is not installed")
