@@ -188,7 +188,7 @@ def train_on_two_modes(
     torch.manual_seed(0)
     head = config.build(2, steps, 1)
     head.fit_action_statistics(torch.tensor([1.0, -1.0]).view(2, 1, 1).expand(2, steps, 1))
-    optimizer = torch.optim.Adam(head.parameters(), lr=3e-3)
+    optimizer = torch.optim.Adam(head.parameters(), lr=3e-3, fused=True)
     schedule = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.0 if decay else 1.0, updates)
     rng = generator(1)
     for update in range(updates):
