@@ -13,7 +13,7 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ from playlearn.report.store_report import write_report
 from playlearn.report.timeline import timeline
 from playlearn.report.view import view_episode
 from playlearn.sim import CameraConfig
+from playlearn.store import Store
 from playlearn.store.importing import import_recordings
 from playlearn.store.lerobot import LeRobotStoreConfig
 from playlearn.store.lerobot.recordings import LeRobotRecordings
@@ -161,11 +162,17 @@ def writers(roomy: Path, disk: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     yield "export lerobot", lambda: share(contents(images), disk / "lerobot", None)
     yield "export lerobot --videos", lambda: share(contents(images), disk / "videos", "h264")
     yield "export policy", lambda: export_policy(roomy / "run", disk / "policy")
-    share(contents(images), roomy / "lerobot", None)
-    recordings = LeRobotRecordings(LeRobotStoreConfig(root=roomy / "lerobot", cache=roomy / "cache").build())
-    yield "import", lambda: import_recordings(recordings, disk / "import")
-    cached = LeRobotStoreConfig(root=roomy / "lerobot", cache=disk / "frames").build
-    yield "decoded frames", lambda: cached().read(0)
+
+    @cache
+    def exported() -> Path:
+        share(contents(images), roomy / "lerobot", None)
+        return roomy / "lerobot"
+
+    def opened(frames: Path) -> Store:
+        return LeRobotStoreConfig(root=exported(), cache=frames).build()
+
+    yield "import", lambda: import_recordings(LeRobotRecordings(opened(roomy / "cache")), disk / "import")
+    yield "decoded frames", lambda: opened(disk / "frames").read(0)
     for suffix in (".html", ".json", ".md", ".png"):
         report = disk / "pages" / f"report{suffix}"
         yield f"info --report {suffix}", partial(write_report, images, report, lambda: PointEnv(PointConfig()))

@@ -134,7 +134,7 @@ def test_a_card_of_other_peoples_recordings_does_not_call_them_ours(store: Nativ
         cards = (tmp_path / "README.md").read_text(), lerobot_card(one, {}, {}, CardFacts("play", 1, False, False))
         assert [("Unstructured play" in card) for card in cards] == [ours, ours]
         assert ("collect.yaml" in cards[0]) == ours
-        assert ("Recorded elsewhere and imported; by unknown." in cards[0]) != ours
+        assert ("Recorded elsewhere and imported; by unknown. A policy" in cards[0]) != ours
 
 
 def test_a_card_of_rewards_needs_no_names(store: NativeStore) -> None:
