@@ -205,17 +205,15 @@ def _fresh(config: PlaylearnConfig, stats: Mapping[str, Any] | None, meta: Any) 
         cameras={name: size for name, size in sizes.items() if not name.startswith("goal_")},
         quantities=_quantities(dataset, num_achieved),
     )
-    given, nothing = spec.quantities, np.zeros((1, 0), np.float32)
-    achieved = _rows(meta, ACHIEVED)[:, :num_achieved] if ACHIEVED in names else nothing
-    labels = _rows(meta, "action")
+    rows = {key: _rows(meta, key) for key in (STATE, ACHIEVED, "action") if key in names}
+    for key, own in rows.items():
+        check_finite(own, names[key], f"{meta.root}: {key}")
+    achieved = rows[ACHIEVED][:, :num_achieved] if ACHIEVED in rows else np.zeros((1, 0), np.float32)
     statistics = {
-        "state": statistics_of(_rows(meta, STATE), given.state),
-        "achieved": statistics_of(achieved, given.achieved),
-        "action": statistics_of(labels),
+        "state": statistics_of(rows[STATE], spec.quantities.state),
+        "achieved": statistics_of(achieved, spec.quantities.achieved),
+        "action": statistics_of(rows["action"]),
     }
-    for key in (STATE, ACHIEVED, "action"):
-        if key in names:
-            check_finite(_rows(meta, key), names[key], f"{meta.root}: {key}")
     policy = config.policy().build(spec, statistics, config.seed)
     lacks = [key for key in features(spec, policy.config, training=True)[0] if key not in meta.features]
     if lacks:
@@ -223,7 +221,7 @@ def _fresh(config: PlaylearnConfig, stats: Mapping[str, Any] | None, meta: Any) 
             f"the policy reads {', '.join(lacks)}, which the dataset lacks: write it with `playlearn export lerobot "
             "STORE OUT --goals`, or give another recipe"
         )
-    policy.fit_action_statistics(torch.from_numpy(labels))
+    policy.fit_action_statistics(torch.from_numpy(rows["action"]))
     return policy
 
 
