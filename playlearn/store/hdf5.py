@@ -132,6 +132,10 @@ def grouped(remarks: Mapping[str, str]) -> dict[str, str]:
     return {", ".join(names): why for why, names in owners.items()}
 
 
+# An episode ends with an observation, a demonstration of theirs with an action.
+LAST = {"actions": "left out: the last one of each demonstration and its reward, as no observation follows it"}
+
+
 def beyond_mask(mask: str | None, chosen: int, total: int) -> dict[str, str]:
     """What an import of one mask leaves out."""
     left = total - chosen

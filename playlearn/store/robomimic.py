@@ -17,6 +17,7 @@ from playlearn.errors import StoreError
 from playlearn.quantity import Quantities, subset
 from playlearn.store.base import StoreSpec, plain
 from playlearn.store.hdf5 import (
+    LAST,
     Demonstrations,
     beyond_mask,
     dataset,
@@ -133,7 +134,7 @@ class RobomimicFile(Demonstrations):
             quantities=self._quantities(arguments),
         )
         seen = {f"obs/{key}": why for key, why in self._keys.remarks.items()}
-        self.remarks = grouped({**seen, **rest, **self._objects.remarks})
+        self.remarks = grouped({**LAST, **seen, **rest, **self._objects.remarks})
         keys = {"state": state, "achieved": achieved, "goal_names": goal_names, "cameras": cameras}
         settings = {**keys, "mask": mask, "val_mask": val_mask, "fps": fps, "success": success}
         self.note = plain({"format": "robomimic", "source": path.name, "bytes": path.stat().st_size, **settings})

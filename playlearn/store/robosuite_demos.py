@@ -22,6 +22,7 @@ from playlearn.errors import StoreError
 from playlearn.quantity import Quantities, own_quantities, subset
 from playlearn.store.base import StoreSpec, plain
 from playlearn.store.hdf5 import (
+    LAST,
     Demonstrations,
     beyond_mask,
     dataset,
@@ -106,7 +107,7 @@ class RobosuiteFile(Demonstrations):
             kind = kind.decode() if isinstance(kind, bytes) else kind or info.get("env_name", "unknown")
             width = int(dataset(first, "actions").shape[1])
             rest = beyond_mask(mask, len(self._names), len(names)) | unread(file, names, ("states", "actions"))
-            self.remarks = grouped({**rest, **self._objects.remarks})
+            self.remarks = grouped({**LAST, **rest, **self._objects.remarks})
         self.spec = StoreSpec(
             environment={"type": f"robosuite:{kind}", "env_info": info},
             state_names=scene.state_names,

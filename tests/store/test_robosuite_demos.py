@@ -9,6 +9,7 @@ import robosuite
 
 from playlearn.envs import LiftConfig
 from playlearn.errors import StoreError, UsageError
+from playlearn.store.hdf5 import LAST
 from playlearn.store.importing import import_recordings
 from playlearn.store.robosuite_demos import RobosuiteConfig, RobosuiteFile, Scene
 
@@ -116,7 +117,7 @@ def test_every_hand_is_seen_and_no_wheel_is_an_object(tmp_path: Path) -> None:
     names = [f"joint4.{part}" for part in ("x", "y", "z", "qw", "qx", "qy", "qz")]  # without a name of its own
     assert source.spec.achieved_names == (*names, "lid.pos")
     assert source.spec.environment["type"] == "robosuite:TwoHands"
-    assert source.remarks == {"demonstrations": "left out: 1 of 2, as they are not in mask 'first'"}
+    assert source.remarks == {**LAST, "demonstrations": "left out: 1 of 2, as they are not in mask 'first'"}
     store = import_recordings(source, tmp_path / "out", say=lambda _: None)
     episode = store.read(0)
     np.testing.assert_allclose(episode.state[0, [0, 9, 10, 18, 19]], [1, 0, 2, 0.1, 0.2], atol=1e-6)
