@@ -355,10 +355,12 @@ class Policy(nn.Module):
         return self.trunk(tokens, mask), self.encoder.auxiliary(encoded, inputs)
 
     def _normalized(self, inputs: Inputs) -> Inputs:
-        """On this policy's device, normalized, only the cameras it reads."""
+        """On this policy's device, normalized, only what it knows: its cameras, and no `achieved` where it has none."""
         encoder, device, together = self.config.encoder, self.device, self.normalizer.together
         state, goal_proprio = together("state", inputs.state.to(device), inputs.goal_proprio.to(device))
-        achieved, goal_achieved = together("achieved", inputs.achieved.to(device), inputs.goal_achieved.to(device))
+        known = slice(len(self.spec.achieved_names))
+        objects = inputs.achieved[..., known].to(device), inputs.goal_achieved[..., known].to(device)
+        achieved, goal_achieved = together("achieved", *objects)
         return Inputs(
             state=state,
             achieved=achieved,

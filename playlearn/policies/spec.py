@@ -67,13 +67,16 @@ class PolicySpec:
     def check(self, other: Named, cameras: Mapping[str, tuple[int, int]], needed: tuple[str, ...]) -> None:
         """Refuse an environment whose dimensions mean something else.
 
+        What a policy that knows no `achieved` is shown of it is left out, so it may have any.
+
         needed: the cameras the policy reads; only these are compared.
 
         Raises:
             CheckpointError: names, fps or a needed camera differ; the message says which.
         """
+        known = ("achieved_names",) if self.achieved_names else ()
         acting = ("action_names",) if self.predicts == "actions" else ()
-        for what in ("state_names", "achieved_names", *acting):
+        for what in ("state_names", *known, *acting):
             mine, theirs = tuple(getattr(self, what)), tuple(getattr(other, what))
             if mine != theirs:
                 raise CheckpointError(_difference(what.removesuffix("_names"), mine, theirs))

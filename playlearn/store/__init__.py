@@ -6,11 +6,13 @@ from typing import Any
 
 from playlearn.config import from_dict
 from playlearn.store.base import Store, StoreConfig, StoreSpec, with_images
+from playlearn.store.blind import BlindStore
 from playlearn.store.folder import episode_path
 from playlearn.store.lerobot import LeRobotStoreConfig
 from playlearn.store.native import NativeStore, NativeStoreConfig, Writer, write_episode
 
 __all__ = [
+    "BlindStore",
     "LeRobotStoreConfig",
     "NativeStore",
     "NativeStoreConfig",
@@ -31,8 +33,13 @@ def parse_store(raw: Any) -> Path | StoreConfig:
     return from_dict(StoreConfig, raw) if isinstance(raw, Mapping) else Path(raw)
 
 
-def open_store(where: Path | str | StoreConfig) -> Store:
-    """Open a store from its config, or the store of any kind in a folder; raises StoreError if there is none."""
+def open_store(where: Path | str | StoreConfig, *, blind: bool = False) -> Store:
+    """Open a store from its config, or the store of any kind in a folder; raises StoreError if there is none.
+
+    blind: as a robot would have recorded it, see `BlindStore`.
+    """
+    if blind:
+        return BlindStore(open_store(where))
     if isinstance(where, StoreConfig):
         return where.build()
     kinds = map(StoreConfig.get_choice_class, StoreConfig.get_known_choices())

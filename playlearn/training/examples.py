@@ -39,7 +39,7 @@ class RunExamples:
         self.config, self.store, self.out, self.accelerator = config, store, out, accelerator
         self.data: PlayDataset = config.data.build(store, "train", config.seed)
         self.val = validation_batches(config, store)
-        self._sources = build_sources(self.data, config.extra_datasets, config.seed)
+        self._sources = build_sources(self.data, config.extra_datasets, config.seed, blind=config.blind)
         self._own: Part = self.data  # what is shown of it
         self._extra: list[tuple[Part, float]] = [*self._sources]
 
