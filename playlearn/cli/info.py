@@ -23,20 +23,21 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from playlearn.relabeling import RobotConfig
+    from playlearn.report.cases import cases
     from playlearn.store import open_store
 
     store = open_store(arguments.store)
     facts = store.info()
-    if not store.spec.achieved_names:
-        facts["goals"] = RobotConfig().describe(store.spec.state_names)
+    if len(store):
+        facts["goals"] = cases(store)
     problems = store.verify() if arguments.verify else []
     if arguments.verify:
         facts = {**facts, "problems": problems}
     if arguments.json:
         print(json.dumps(facts, indent=2))
     else:
-        _print_facts({key: value for key, value in facts.items() if key not in ("problems", "remarks")})
+        _print_facts({key: value for key, value in facts.items() if key not in ("problems", "remarks", "goals")})
+        _print_facts(facts.get("goals", {}))
         for name, remark in facts["remarks"].items():
             print(f"{name}: {remark}")
         if arguments.verify and not problems:

@@ -103,7 +103,7 @@ def goal_dimensions(achieved_names: Sequence[str], patterns: Sequence[str], wher
     chosen = ObjectLayout(achieved_names).select(patterns)
     if chosen:
         return chosen
-    robot = "let it be the robot's own pose (`policy.encoder.goal_proprio: true`, of `type: state`)"
+    robot = "let it be the robot's own pose (`policy.encoder.goal_proprio: true`; see configs/train/lerobot.yaml)"
     if achieved_names:
         raise UsageError(
             f"encoder.goal_names is {list(patterns)}: the policy is left without a goal; name some of "
@@ -111,7 +111,8 @@ def goal_dimensions(achieved_names: Sequence[str], patterns: Sequence[str], wher
         )
     raise UsageError(
         "encoder: a goal that is a state needs `achieved` (objects; LeRobot's `observation.environment_state`), and "
-        f"{where} records none: the policy is left without a goal; {robot}, or read goal images (`type: cnn`)"
+        f"{where} records none: the policy is left without a goal; {robot}, or read goal images (`type: cnn`; see "
+        "configs/train/lerobot_image.yaml)"
     )
 
 

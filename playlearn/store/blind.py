@@ -18,13 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from playlearn.episode import IMAGES, STORED, Array, Episode, EpisodeMeta
+from playlearn.episode import IMAGES, REWARD, STORED, Array, Episode, EpisodeMeta
 from playlearn.store.base import Store, StoreSpec, summary
 
 NO_SEED = -1
 NAMING = ("type", "robot")  # of an environment: from these no scene can be built again
 EXECUTED = STORED["action"]
-HIDDEN = "achieved, sim.state, expert_action, skill, reward"
 
 
 class BlindStore:
@@ -89,7 +88,8 @@ class BlindStore:
         return self._store.digests()
 
     def remarks(self) -> Mapping[str, str]:
-        return {**self._store.remarks(), HIDDEN: "hidden: `blind`"}
+        hidden = self._hidden()
+        return {**self._store.remarks(), **({", ".join(hidden): "hidden: `blind`"} if hidden else {})}
 
     def rewards(self, i: int) -> Array | None:
         return None
@@ -99,6 +99,18 @@ class BlindStore:
 
     def info(self) -> dict[str, Any]:
         return {**self._store.info(), **summary(self)}
+
+    def _hidden(self) -> list[str]:
+        """What the first episode has of all that is hidden."""
+        if not len(self):
+            return []
+        store, there = self._store, []
+        there += [STORED[name] for name in ("achieved", "sim_state") if store.array(0, STORED[name]).shape[1]]
+        label = store.array(0, STORED["expert_action"])
+        there += [] if np.array_equal(label, store.array(0, EXECUTED)) else [STORED["expert_action"]]
+        there += [STORED["skill"]] if store.meta(0).skills else []
+        there += [] if store.rewards(0) is None else [REWARD]
+        return there + ([] if store.meta(0).success is None else ["success"])
 
 
 def _named(environment: Mapping[str, Any]) -> dict[str, Any]:

@@ -31,7 +31,7 @@ from playlearn.store import Store, open_store
 from playlearn.threads import limit
 from playlearn.training.config import TrainConfig, check_out, flattened, run_folder, stored_threads, training_inputs
 from playlearn.training.divergence import reason
-from playlearn.training.examples import RunExamples, store_remarks
+from playlearn.training.examples import RunExamples, store_remarks, unsettled_remarks
 from playlearn.training.privileged import check_start, privileged
 from playlearn.training.window import Window
 
@@ -304,7 +304,7 @@ class _Run:
 
     def describe(self) -> None:
         """Save what is run, before it runs; say what of the store is not read, or is read otherwise than recorded."""
-        for remark in store_remarks(self.config, self.store):
+        for remark in (*store_remarks(self.config, self.store), *unsettled_remarks(self.data)):
             print(f"{self.store.name()}: {remark}", file=sys.stderr, flush=True)
         self._metrics.unlink(missing_ok=True)  # of a run that left no checkpoint
         save_config(self.config, self.out / "config.yaml")

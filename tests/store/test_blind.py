@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from playlearn.store import NativeStore, StoreSpec, open_store
+from playlearn.store import BlindStore, NativeStore, StoreSpec, open_store
 from tests.synthetic import make_episode
 
 
@@ -53,4 +53,6 @@ def test_it_is_a_store_like_any_other(folder: Path) -> None:
     info = blind.info()
     assert (info["achieved"], info["skills"], info["environment"]) == ([], {}, {"type": "synthetic"})
     assert info["success"] == {"success": 0, "failure": 0, "unknown": 2}
-    assert any("`blind`" in why for why in blind.remarks().values())
+    hidden = "achieved, sim.state, expert_action, skill, reward, success"
+    assert blind.remarks() == {hidden: "hidden: `blind`"}
+    assert BlindStore(blind).remarks() == blind.remarks(), "of what a robot records nothing more is hidden"

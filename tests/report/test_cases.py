@@ -1,0 +1,42 @@
+"""What goals a store allows, as `playlearn info` says it."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from playlearn.cli import main
+from playlearn.report.cases import CONFIGS, cases
+from playlearn.store import open_store
+from tests.real_robot import arm, recorded
+from tests.synthetic import make_store
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_a_robots_recording_allows_its_pose_and_goal_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    episodes = [arm(5, 30, seed) for seed in range(2)]
+    filmed = recorded(tmp_path / "filmed", episodes, cameras={"up": (8, 12), "hand": (6, 6)})
+    found = cases(open_store(filmed))
+    assert found["goal image"] == "cameras up 8x12, hand 6x6, as in configs/train/lerobot_image.yaml"
+    assert found["robot's pose"] == "6 numbers, as in configs/train/lerobot.yaml"
+    assert found["goal state"] == "not possible: no objects (`achieved`)"
+    assert "settled moments" not in found
+    moments = found["settled moments of the robot"]
+    assert moments.startswith("2 in 2 of 2 episodes: settled where the gripper (gripper.pos) has opened")
+    assert main(["info", str(filmed), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["goals"] == found
+
+    bare = cases(open_store(recorded(tmp_path / "bare", episodes)))
+    assert bare["goal image"] == "not possible: no images"
+
+
+def test_play_with_objects_allows_all(tmp_path: Path) -> None:
+    found = cases(make_store(tmp_path / "play", np.random.default_rng(0), 2, 120, ("front",)))
+    assert found["goal state"] == "objects, 7 numbers, as in configs/train/lerobot_objects.yaml"
+    assert found["settled moments"].endswith("in 2 of 2 episodes by the objects")
+
+
+def test_every_config_that_is_named_is_there() -> None:
+    assert all((ROOT / path).is_file() for path in CONFIGS.values())
