@@ -40,3 +40,9 @@ def test_play_with_objects_allows_all(tmp_path: Path) -> None:
 
 def test_every_config_that_is_named_is_there() -> None:
     assert all((ROOT / path).is_file() for path in CONFIGS.values())
+
+
+def test_a_file_of_recordings_is_to_be_imported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "demo.hdf5").write_bytes(b"\x89HDF")
+    assert main(["info", str(tmp_path / "demo.hdf5")]) == 2
+    assert "demo.hdf5 is a file, and a store is a folder: read recordings with `playlearn" in capsys.readouterr().err

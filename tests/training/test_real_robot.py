@@ -168,6 +168,15 @@ def test_a_camera_that_is_no_color_camera_is_refused_with_the_reason(
         train(settings("lerobot_image", filmed, *more), tmp_path / "run")
 
 
+def test_what_is_predicted_is_not_shown(tmp_path: Path) -> None:
+    root = recorded(tmp_path / "data", arms())
+    for part in ("state", "achieved"):
+        with pytest.raises(
+            StoreError, match=rf"'action' is named as `action` and as `{part}`: a policy would be shown"
+        ):
+            train(settings("lerobot", root, f"store.{part}: action"), tmp_path / "run")
+
+
 def test_the_config_that_fits_is_named(filmed: Path, tmp_path: Path) -> None:
     bare = recorded(tmp_path / "bare", arms())
     with pytest.raises(UsageError, match=r"records none: .*configs/train/lerobot\.yaml.*configs/train/lerobot_image"):
