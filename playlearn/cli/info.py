@@ -11,6 +11,9 @@ from playlearn.cli.verb import DONE, FAILED, Verb, add_json
 
 def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("store", type=Path, metavar="STORE")
+    parser.add_argument(
+        "--without-images", action="store_true", help="of a LeRobot dataset whose videos were not fetched: its numbers"
+    )
     parser.add_argument("--verify", action="store_true", help="read every episode and compare its checksum")
     parser.add_argument(
         "--report",
@@ -24,9 +27,12 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from playlearn.report.cases import cases
-    from playlearn.store import open_store
+    from playlearn.store import LeRobotStoreConfig, open_store
 
-    store = open_store(arguments.store)
+    where = arguments.store
+    if arguments.without_images:
+        where = LeRobotStoreConfig(root=where, without_images=True)
+    store = open_store(where)
     facts = store.info()
     if len(store):
         facts["goals"] = cases(store)

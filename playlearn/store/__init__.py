@@ -38,10 +38,12 @@ def open_store(where: Path | str | StoreConfig, *, blind: bool = False) -> Store
 
     blind: as a robot would have recorded it, see `BlindStore`.
     """
-    if blind:
-        return BlindStore(open_store(where))
-    if isinstance(where, StoreConfig):
-        return where.build()
+    config = where if isinstance(where, StoreConfig) else _config_of(Path(where))
+    return BlindStore(config.without_objects().build()) if blind else config.build()
+
+
+def _config_of(folder: Path) -> StoreConfig:
+    """The config of the store in a folder, a native one where no other kind is found."""
     kinds = map(StoreConfig.get_choice_class, StoreConfig.get_known_choices())
-    found = next((config for kind in kinds if (config := kind.at(Path(where))) is not None), None)
-    return NativeStore.open(where) if found is None else found.build()
+    found = next((config for kind in kinds if (config := kind.at(folder)) is not None), None)
+    return NativeStoreConfig(folder) if found is None else found

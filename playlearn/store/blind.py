@@ -105,7 +105,8 @@ class BlindStore:
         if not len(self):
             return []
         store, there = self._store, []
-        there += [STORED[name] for name in ("achieved", "sim_state") if store.array(0, STORED[name]).shape[1]]
+        there += [STORED["achieved"]] if store.spec.achieved_names else []
+        there += [STORED["sim_state"]] if store.array(0, STORED["sim_state"]).shape[1] else []
         label = store.array(0, STORED["expert_action"])
         there += [] if np.array_equal(label, store.array(0, EXECUTED)) else [STORED["expert_action"]]
         there += [STORED["skill"]] if store.meta(0).skills else []

@@ -4,11 +4,14 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from playlearn.cli import main
 from playlearn.report.cases import CONFIGS, cases
 from playlearn.store import open_store
+from tests.lerobot_dataset import EPISODES, change_info
 from tests.real_robot import arm, recorded
 from tests.synthetic import make_store
 
@@ -46,3 +49,24 @@ def test_a_file_of_recordings_is_to_be_imported(tmp_path: Path, capsys: pytest.C
     (tmp_path / "demo.hdf5").write_bytes(b"\x89HDF")
     assert main(["info", str(tmp_path / "demo.hdf5")]) == 2
     assert "demo.hdf5 is a file, and a store is a folder: read recordings with `playlearn" in capsys.readouterr().err
+
+
+def test_a_dataset_whose_videos_are_missing_says_what_its_numbers_allow(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = recorded(tmp_path / "data", [arm(5, 30, seed) for seed in range(2)])
+    video = {"dtype": "video", "shape": [48, 64, 3], "names": ["height", "width", "channels"]}
+    info = json.loads((root / "meta" / "info.json").read_text())
+    change_info(root, features={**info["features"], "observation.images.up": video})
+    places = {f"videos/observation.images.up/{name}": [0] * 2 for name in ("chunk_index", "file_index")}
+    places |= {f"videos/observation.images.up/{name}_timestamp": [0.0, 5.0] for name in ("from", "to")}
+    table = pq.read_table(root / EPISODES)
+    for name, column in places.items():
+        table = table.append_column(name, pa.array(column))
+    pq.write_table(table, root / EPISODES)
+    assert main(["info", str(root)]) == 1
+    assert f"`playlearn info {root} --without-images`" in capsys.readouterr().err
+    assert main(["info", str(root), "--without-images"]) == 0
+    said = capsys.readouterr().out
+    assert "not possible: no images" in said
+    assert "2 in 2 of 2 episodes" in said

@@ -15,7 +15,7 @@ from playlearn.errors import StoreError, UsageError
 from playlearn.policies import Policy
 from playlearn.privileges import Privileges
 from playlearn.training import TrainConfig, train
-from tests.lerobot_dataset import encoded, image, vector, write_dataset
+from tests.lerobot_dataset import add_column, encoded, image, vector, write_dataset
 from tests.real_robot import JOINTS, NAMES, arm, pictures, recorded
 
 ROOT = Path(__file__).parents[2]
@@ -168,13 +168,26 @@ def test_a_camera_that_is_no_color_camera_is_refused_with_the_reason(
         train(settings("lerobot_image", filmed, *more), tmp_path / "run")
 
 
+def test_what_a_blind_run_does_not_read_may_be_broken(tmp_path: Path) -> None:
+    """Objects that are not finite, and all relative to the hand; a rule of success for rewards that are not there."""
+    root = recorded(tmp_path / "data", arms())
+    states = [row for one in arms() for row in one[:, :2].tolist()]
+    states[3][0] = float("nan")
+    add_column(root, "observation.environment_state", vector(["cup.x", "cup.y"]), states)
+    with pytest.raises(StoreError, match=r"observation\.environment_state is not finite at frame 3"):
+        train(settings("lerobot_objects", root), tmp_path / "refused")
+    config = settings("lerobot", root, "data.val_fraction: 0", "store.success: reward>=1")
+    train(config, tmp_path / "run")
+    assert Policy.load(tmp_path / "run" / "policy").spec.achieved_names == ()
+
+
 def test_what_is_predicted_is_not_shown(tmp_path: Path) -> None:
     root = recorded(tmp_path / "data", arms())
     for part in ("state", "achieved"):
         with pytest.raises(
             StoreError, match=rf"'action' is named as `action` and as `{part}`: a policy would be shown"
         ):
-            train(settings("lerobot", root, f"store.{part}: action"), tmp_path / "run")
+            train(settings("lerobot_objects", root, f"store.{part}: action"), tmp_path / "run")
 
 
 def test_the_config_that_fits_is_named(filmed: Path, tmp_path: Path) -> None:
