@@ -120,6 +120,9 @@ def test_a_run_records_what_it_used_and_a_blind_one_starts_from_none_that_used_a
     assert record("blind") == {"training": [], "relabeling": [], "goal": []}
     train(config(play, "cnn", steps=2, init_from=str(tmp_path / "blind")), tmp_path / "images")
     assert record("images") == {"training": ["clean labels"], "relabeling": poses, "goal": []}
+    by_robot = {"data": {"settling": {"source": "robot"}}, "init_from": str(tmp_path / "images")}
+    train(config(play, "cnn", steps=2, **by_robot), tmp_path / "inherits")
+    assert record("inherits") == record("images"), "its own goals are read from the robot, those before it were not"
     train(blind(play, "cnn", init_from=str(tmp_path / "blind")), tmp_path / "further")
     assert record("further") == record("blind")
 
