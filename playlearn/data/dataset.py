@@ -97,7 +97,10 @@ class PlayDataset(Examples):
         out = val_mask(store, config.val_fraction)
         self.episodes: Indices = np.flatnonzero(out if split == "val" else ~out)  # (N,) positions in the store
         if len(self.episodes) == 0:
-            raise StoreError(f"{store.name()} has no {split} episodes among its {len(store)}: collect more play")
+            raise StoreError(
+                f"{store.name()} has no {split} episodes among its {len(store)}: collect more play, or hold none out "
+                "(`data.val_fraction: 0`)"
+            )
         self.store, self.config, self.seed = store, config, seed
         _check_finite(store, self.episodes)
         train = np.flatnonzero(~out).tolist()  # thresholds are measured on it for both splits, so that they agree

@@ -358,7 +358,7 @@ def test_a_single_number_is_a_vector_of_one(tmp_path: Path, value: Any) -> None:
 
 def test_a_feature_that_is_asked_for_must_be_there(tmp_path: Path) -> None:
     root = dataset(tmp_path / "made", {"qpos": vector(["a"])}, {"qpos": [0.0] * N})
-    with pytest.raises(StoreError, match=r"no feature 'cube' for the achieved; it has observation.state, action, qpos"):
+    with pytest.raises(StoreError, match=r"no feature 'cube' for the achieved; it has observation.state, qpos"):
         opened(root, achieved="cube")
     assert opened(root, state="qpos").spec.state_names == ("a",)
 

@@ -190,6 +190,32 @@ def test_what_is_predicted_is_not_shown(tmp_path: Path) -> None:
             train(settings("lerobot_objects", root, f"store.{part}: action"), tmp_path / "run")
 
 
+def test_a_robot_whose_state_is_not_one_vector_is_told_so(tmp_path: Path) -> None:
+    rows = np.concatenate(arms())
+    parts = {"observation.state.arm": rows[:, :5], "observation.state.hand": rows[:, 5:]}
+    features = {key: vector(None, own.shape[1]) for key, own in parts.items()} | {"action": vector(list(NAMES))}
+    columns = {key: own.tolist() for key, own in parts.items()} | {"action": rows.tolist()}
+    several = write_dataset(tmp_path / "several", features, columns, [len(one) for one in arms()], fps=30)
+    with pytest.raises(
+        StoreError, match=r"it has observation\.state\.arm, observation\.state\.hand: set `state` to one"
+    ):
+        train(settings("lerobot", several), tmp_path / "run")
+    alone = {"action": vector(list(NAMES))}, {"action": rows.tolist()}
+    none = write_dataset(tmp_path / "none", *alone, [len(one) for one in arms()], fps=30)
+    with pytest.raises(StoreError, match=r"no feature 'observation\.state' .*no other vector of numbers"):
+        train(settings("lerobot", none), tmp_path / "run")
+
+
+def test_one_episode_and_images_of_a_few_pixels_are_told_what_to_do(tmp_path: Path) -> None:
+    one = recorded(tmp_path / "one", arms(4, count=1), cameras={"up": (4, 4)})
+    with pytest.raises(StoreError, match=r"no train episodes among its 1: .*`data\.val_fraction: 0`"):
+        train(settings("lerobot", one), tmp_path / "run")
+    tiny = (*CAMERAS, "policy.encoder.cameras: [up]", "data.val_fraction: 0")
+    with pytest.raises(UsageError, match=r"images of 4x4 pixels are too small .*`image_size`"):
+        train(settings("lerobot_image", one, *tiny), tmp_path / "run")
+    assert not (tmp_path / "run" / "config.yaml").exists()
+
+
 def test_the_config_that_fits_is_named(filmed: Path, tmp_path: Path) -> None:
     bare = recorded(tmp_path / "bare", arms())
     with pytest.raises(UsageError, match=r"records none: .*configs/train/lerobot\.yaml.*configs/train/lerobot_image"):
