@@ -19,13 +19,17 @@ from playlearn.errors import StoreError, UsageError
 from playlearn.layout import ObjectLayout
 from playlearn.quantity import difference
 from playlearn.relabeling import (
+    EVENTS,
     UNIFORMS,
     GoalSamplerConfig,
     RelabelIndex,
     SettledConfig,
     SettlingConfig,
     counter_uniforms,
+    events_ahead,
+    grasps,
     leads_to_failure,
+    robot_reader,
 )
 from playlearn.store import Store
 
@@ -43,6 +47,8 @@ class DataConfig:
     chunk: actions that a policy predicts (H). A run takes it from the policy.
     cameras: whose images an observation holds. A run takes them from the policy's encoder.
     goal_cameras: whose images a goal holds. A run takes them from the policy's encoder.
+    events: whether examples hold the robot's own state at events ahead (see `relabeling.hand`). A run takes it from the
+        policy's encoder.
     val_fraction: fraction of the episodes that is held out and never trained on; above 0, an import's own validation
         split counts instead where there is one.
     mask_after_goal: whether labels past the goal are masked.
@@ -66,6 +72,7 @@ class DataConfig:
     chunk: int = 8
     cameras: tuple[str, ...] = ()
     goal_cameras: tuple[str, ...] = ()
+    events: bool = False
     val_fraction: float = 0.05
     mask_after_goal: bool = False
     balance: float = 0.0
@@ -112,6 +119,7 @@ class PlayDataset(Examples):
         self.state = np.concatenate([store.array(int(i), "observation.state") for i in self.episodes])
         self.action = np.concatenate([store.array(int(i), "expert_action") for i in self.episodes])  # (sum T, A)
         self._last = self._last_of_chunk([store.array(int(i), "action") for i in self.episodes])
+        self._closed = self._grasps(train) if config.events else None
         self._sampler = config.goals.build()
         lengths = self.table.lengths
         episode = np.repeat(np.arange(len(lengths)), lengths)
@@ -190,7 +198,30 @@ class PlayDataset(Examples):
             action=torch.from_numpy(action),
             action_mask=torch.from_numpy(counts),
             steps_to_goal=torch.from_numpy(np.where(leads, goal - t, 0)),
+            events={} if self._closed is None else self._events(self._closed, episode, t),
         )
+
+    def segments(self, episode: int) -> list[tuple[int, int, int]]:
+        """(settled moment, last observation of its configuration, grasp or -1) of the episode at this place.
+
+        Needs `DataConfig.events`.
+        """
+        own = slice(self.table.offsets[episode], self.table.offsets[episode + 1])
+        closed = np.full(len(self.table.moments), -1) if self._closed is None else self._closed
+        parts = (self.table.moments[own], self.table.ends[own], closed[own])
+        return list(zip(*(part.tolist() for part in parts), strict=True))
+
+    def _grasps(self, learned: Sequence[int]) -> Indices:
+        """(M,) of `relabeling.grasps`. learned: the episodes on which thresholds are measured."""
+        reader = robot_reader(self.store, self.config.settling, learned)
+        return grasps(self.table, reader, [self.store.array(int(i), "observation.state") for i in self.episodes])
+
+    def _events(self, closed: Indices, episode: Indices, t: Indices) -> dict[str, torch.Tensor]:
+        """Event -> (B, S) float32, NaN where it does not lie ahead."""
+        ahead = events_ahead(self.table, closed, episode, t)  # (B, E)
+        rows = self.table.rows[episode][:, None] + np.maximum(ahead, 0)
+        states = np.where((ahead >= 0)[..., None], self.state.take(rows, axis=0), np.float32(np.nan))
+        return {name: torch.from_numpy(states[:, k]) for k, name in enumerate(EVENTS)}
 
     def _frames(self, camera: str, episode: Indices, rows: Indices) -> torch.Tensor:
         """(B, k, h, w, 3) uint8 of observations rows (B, k)."""

@@ -357,8 +357,10 @@ class Policy(nn.Module):
     def _normalized(self, inputs: Inputs) -> Inputs:
         """On this policy's device, normalized, only the cameras it reads."""
         encoder, device, together = self.config.encoder, self.device, self.normalizer.together
-        state, goal_proprio = together("state", inputs.state.to(device), inputs.goal_proprio.to(device))
+        raw = inputs.state.to(device)
+        state, goal_proprio = together("state", raw, inputs.goal_proprio.to(device))
         achieved, goal_achieved = together("achieved", inputs.achieved.to(device), inputs.goal_achieved.to(device))
+        events = {name: together("state", raw, pose.to(device))[1] for name, pose in inputs.events.items()}
         return Inputs(
             state=state,
             achieved=achieved,
@@ -371,6 +373,7 @@ class Policy(nn.Module):
                 for camera in encoder.goal_cameras
                 if camera in inputs.goal_images
             },
+            events=events,
         )
 
 
