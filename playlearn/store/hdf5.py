@@ -135,7 +135,7 @@ def grouped(remarks: Mapping[str, str]) -> dict[str, str]:
 # An episode ends with an observation, a demonstration of theirs with an action.
 LAST = {
     "actions": "left out: the last one of a demonstration and its reward, where no observation follows it; "
-    "`export robomimic` writes them back"
+    "an export writes them back"
 }
 
 
