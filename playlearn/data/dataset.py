@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from typing import Literal
 
@@ -106,7 +107,11 @@ class PlayDataset(Examples):
         if len(self.episodes) == 0:
             raise StoreError(f"{store.name()} has no {split} episodes among its {len(store)}: collect more play")
         self.store, self.config, self.seed = store, config, seed
-        _check_finite(store, self.episodes)
+        read = partial(_read, store, self.episodes)
+        self.achieved = np.concatenate(read("achieved", store.spec.achieved_names))  # (sum T+1, G)
+        self.state = np.concatenate(read("observation.state", store.spec.state_names))
+        self.action = np.concatenate(read("expert_action", store.spec.action_names))  # (sum T, A)
+        executed = read("action", store.spec.action_names)
         train = np.flatnonzero(~out).tolist()  # thresholds are measured on it for both splits, so that they agree
         self.table = RelabelIndex.of_store(store, config.settling, config.goal_names, self.episodes.tolist(), train)
         if config.target == "next_settled_delta" and len(self.table.change) == 0:
@@ -115,10 +120,7 @@ class PlayDataset(Examples):
                 "there is no change to learn; leave target at actions"
             )
         self._goal_dimensions = ObjectLayout(store.spec.achieved_names).select(config.goal_names)
-        self.achieved = np.concatenate([store.array(int(i), "achieved") for i in self.episodes])  # (sum T+1, G)
-        self.state = np.concatenate([store.array(int(i), "observation.state") for i in self.episodes])
-        self.action = np.concatenate([store.array(int(i), "expert_action") for i in self.episodes])  # (sum T, A)
-        self._last = self._last_of_chunk([store.array(int(i), "action") for i in self.episodes])
+        self._last = self._last_of_chunk(executed)
         self._closed = self._grasps(train) if config.events else None
         self._sampler = config.goals.build()
         lengths = self.table.lengths
@@ -285,18 +287,12 @@ class PlayDataset(Examples):
         return np.asarray(np.cumsum(weights / weights.sum()), np.float64)
 
 
-def _check_finite(store: Store, episodes: Indices) -> None:
-    """Raises StoreError where a number that is learned from is not finite; names episode, array, row and dimension."""
-    names = {
-        "observation.state": store.spec.state_names,
-        "achieved": store.spec.achieved_names,
-        "action": store.spec.action_names,
-        "expert_action": store.spec.action_names,
-    }
-    numbers = store.indices()
-    for i in episodes.tolist():
-        for key, own in names.items():
-            check_finite(store.array(i, key), own, f"{store.name()}, episode {numbers[i]}, {key}")
+def _read(store: Store, episodes: Indices, key: str, names: Sequence[str]) -> list[Array]:
+    """An array (n, D) of each episode; raises StoreError that names the first number that is not finite."""
+    numbers, found = store.indices(), [store.array(int(i), key) for i in episodes]
+    for i, one in zip(episodes.tolist(), found, strict=True):
+        check_finite(one, names, f"{store.name()}, episode {numbers[i]}, {key}")
+    return found
 
 
 def _check(config: DataConfig, split: str) -> None:
