@@ -357,10 +357,11 @@ class Policy(nn.Module):
     def _normalized(self, inputs: Inputs) -> Inputs:
         """On this policy's device, normalized, only what it knows: its cameras, and no `achieved` where it has none."""
         encoder, device, together = self.config.encoder, self.device, self.normalizer.together
-        state, goal_proprio = together("state", inputs.state.to(device), inputs.goal_proprio.to(device))
-        known = slice(len(self.spec.achieved_names))
+        raw, known = inputs.state.to(device), slice(len(self.spec.achieved_names))
+        state, goal_proprio = together("state", raw, inputs.goal_proprio.to(device))
         objects = inputs.achieved[..., known].to(device), inputs.goal_achieved[..., known].to(device)
         achieved, goal_achieved = together("achieved", *objects)
+        events = {name: together("state", raw, pose.to(device))[1] for name, pose in inputs.events.items()}
         return Inputs(
             state=state,
             achieved=achieved,
@@ -373,6 +374,7 @@ class Policy(nn.Module):
                 for camera in encoder.goal_cameras
                 if camera in inputs.goal_images
             },
+            events=events,
         )
 
 

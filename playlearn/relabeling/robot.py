@@ -140,6 +140,11 @@ class RobotReader:
         ends = [min(self._end(arm, closed, t), other - 1) for t, other in pairwise([*moments, len(arm)])]
         return moments, ends, [[t in opened, t not in opened] for t in moments]
 
+    def closings(self, state: Array) -> NDArray[np.int64]:
+        """(k,) the observations of (T+1, S) at which the gripper has closed, the first one left out."""
+        closed = self._closed(_openings(state, self.gripper, self.widens).tolist())
+        return np.flatnonzero(closed[1:] & ~closed[:-1]) + 1
+
     def _closed(self, openings: Sequence[float]) -> NDArray[np.bool_]:
         """(T+1,) whether the gripper is closed: once it closed by `opens` from its widest, until it opens as much."""
         closed, furthest, states = openings[0] <= self.middle, openings[0], []

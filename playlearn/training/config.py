@@ -158,6 +158,7 @@ class TrainConfig:
             "cameras": encoder.observation_cameras if of_play else (),
             "goal_cameras": encoder.goal_cameras if of_play else (),
             "goal_names": encoder.goal_names,
+            "events": encoder.uses_events,
         }
         extra_datasets = [
             dataclasses.replace(source, data=dataclasses.replace(source.data or self.data, **decided))

@@ -1,5 +1,6 @@
 """Learn a policy from a store of play: the root that builds every part and hands it over."""
 
+import functools
 import json
 import math
 import os
@@ -19,6 +20,7 @@ from torch import Tensor, nn
 from playlearn.batch import Batch
 from playlearn.config import append_line, atomic_write, git_revision, held, save_config, to_dict, versions
 from playlearn.data import statistics
+from playlearn.data.projection import hand_projection
 from playlearn.errors import NotLearnedError, TrainingDiverged
 from playlearn.executor import interruption_deferred
 from playlearn.policies import Policy, PolicySpec
@@ -134,6 +136,7 @@ class _Run:
         if config.init_from is None:
             policy = config.policy.build(self.spec, statistics(self.data), config.seed)
             policy.fit_action_statistics(torch.as_tensor(self.data.targets()))
+            policy.encoder.calibrate(functools.partial(hand_projection, self.data, policy.normalizer))
             return policy
         begun = Policy.load(config.init_from / "policy")
         begun.check(self.spec, self.spec.cameras)

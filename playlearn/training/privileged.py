@@ -48,7 +48,7 @@ def privileged(config: TrainConfig, store: Store) -> Privileges:
 def _of_play(config: TrainConfig, store: Store, data: DataConfig) -> Privileges:
     encoder = config.policy.encoder
     poses, named = _poses(store), bool(store.spec.achieved_names)
-    reads_state = not encoder.observation_cameras
+    reads_state = "state" in encoder.goals
     training = {
         poses: named and (reads_state or encoder.supervised or data.target != "actions"),
         LABELS: data.target == "actions" and _has_clean_labels(store),

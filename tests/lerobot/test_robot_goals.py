@@ -55,7 +55,9 @@ def observed(**more: torch.Tensor) -> dict[str, torch.Tensor]:
 def test_the_goal_is_read_and_is_not_the_present_state(exported: Path) -> None:
     inputs = json.loads((exported / "config.json").read_text())["input_features"]
     assert {key: feature["shape"] for key, feature in inputs.items()} == {"observation.state": [S], PROPRIO: [S]}
-    assert f"`{PROPRIO}`" in (exported / "README.md").read_text()
+    card = (exported / "README.md").read_text()
+    assert "| observation | `observation.state` |" in card
+    assert f"| goal | `{PROPRIO}` |" in card
     policy, goal = loaded(exported), torch.ones(2, S)
     here = policy.predict_action_chunk(observed(**{PROPRIO: torch.zeros(2, S)}))
     there = policy.predict_action_chunk(observed(**{PROPRIO: goal}))

@@ -138,7 +138,7 @@ def test_a_reward_is_no_success_and_comes_back(tmp_path: Path) -> None:
     assert episode.reward is not None
     np.testing.assert_array_equal(episode.reward, reward[LENGTHS[0] : -1])
     columns = Play(store).entry(1).columns
-    np.testing.assert_array_equal(columns["next.reward"][:, 0], reward[LENGTHS[0] : -1])
+    np.testing.assert_array_equal(columns["next.reward"][:, 0], reward[LENGTHS[0] :])  # the last frame's, too
     assert "next.success" not in columns
     for rule, success in {"reward>=1": True, "reward>1": False, "dones": True, "none": False}.items():
         said = LeRobotStoreConfig(root=root, success=rule).build()
