@@ -67,7 +67,7 @@ def blind(play: Path, encoder: str, **more: Any) -> TrainConfig:
     return dataclasses.replace(made, policy=dataclasses.replace(made.policy, encoder=pose))
 
 
-@pytest.mark.parametrize("encoder", ["state", "cnn"])
+@pytest.mark.parametrize("encoder", ["state", "cnn", pytest.param("hand", marks=pytest.mark.slow)])
 def test_what_is_hidden_changes_no_bit_of_the_weights(encoder: str, play: Path, tmp_path: Path) -> None:
     other, weights = spoiled(play, tmp_path / "spoiled"), []
     for number, store in enumerate((play, other)):
