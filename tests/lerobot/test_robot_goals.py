@@ -58,6 +58,7 @@ def test_the_goal_is_read_and_is_not_the_present_state(exported: Path) -> None:
     card = (exported / "README.md").read_text()
     assert "| observation | `observation.state` |" in card
     assert f"| goal | `{PROPRIO}` |" in card
+    assert "| privileged information | unknown |" in card, "its run has no record"
     policy, goal = loaded(exported), torch.ones(2, S)
     here = policy.predict_action_chunk(observed(**{PROPRIO: torch.zeros(2, S)}))
     there = policy.predict_action_chunk(observed(**{PROPRIO: goal}))
