@@ -131,8 +131,8 @@ class PlayDataset(Examples):
             usable &= self.table.following(episode, t) < self.table.offsets[episode + 1]
         if not usable.any():
             raise StoreError(
-                f"{store.name()}: no {split} step has a goal to draw ({len(lengths)} episodes, {len(t)} steps); "
-                "collect longer episodes, or choose other `goals` or thresholds in `settling`"
+                f"{store.name()}: no {split} step has a goal to draw ({len(lengths)} episodes, {len(t)} steps, "
+                f"{len(self.table.moments)} settled moments); {self._without_goals()}"
             )
         self._episode, self._t = episode[usable], t[usable]  # (n,), (n,)
         self._cumulative = self._weights() if config.balance else None
@@ -224,6 +224,13 @@ class PlayDataset(Examples):
         rows = self.table.rows[episode][:, None] + np.maximum(ahead, 0)
         states = np.where((ahead >= 0)[..., None], self.state.take(rows, axis=0), np.float32(np.nan))
         return {name: torch.from_numpy(states[:, k]) for k, name in enumerate(EVENTS)}
+
+    def _without_goals(self) -> str:
+        """What to do where there is no goal to draw."""
+        if self.config.goals.reads_moments and not len(self.table.moments) and not len(self.table.change):
+            read = self.config.settling.robot.describe(self.store.spec.state_names)
+            return f"{read}; or take any later moment as goal: `--data.goals.type future`"
+        return "collect longer episodes, or choose other `goals` or thresholds in `settling`"
 
     def _frames(self, camera: str, episode: Indices, rows: Indices) -> torch.Tensor:
         """(B, k, h, w, 3) uint8 of observations rows (B, k)."""

@@ -355,11 +355,12 @@ class Policy(nn.Module):
         return self.trunk(tokens, mask), self.encoder.auxiliary(encoded, inputs)
 
     def _normalized(self, inputs: Inputs) -> Inputs:
-        """On this policy's device, normalized, only the cameras it reads."""
+        """On this policy's device, normalized, only what it knows: its cameras, and no `achieved` where it has none."""
         encoder, device, together = self.config.encoder, self.device, self.normalizer.together
-        raw = inputs.state.to(device)
+        raw, known = inputs.state.to(device), slice(len(self.spec.achieved_names))
         state, goal_proprio = together("state", raw, inputs.goal_proprio.to(device))
-        achieved, goal_achieved = together("achieved", inputs.achieved.to(device), inputs.goal_achieved.to(device))
+        objects = inputs.achieved[..., known].to(device), inputs.goal_achieved[..., known].to(device)
+        achieved, goal_achieved = together("achieved", *objects)
         events = {name: together("state", raw, pose.to(device))[1] for name, pose in inputs.events.items()}
         return Inputs(
             state=state,

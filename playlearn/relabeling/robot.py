@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from itertools import pairwise
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,13 +33,15 @@ NAMES = ("gripper.opened", "arm.stopped")  # what changes at a settled moment th
 class RobotConfig:
     """Which dimensions of `observation.state` are gripper and arm; thresholds are measured (see `calibrate.measure`).
 
-    gripper: shell-style patterns, upper case like lower; the first name that matches is the gripper's opening, more
-        being wider.
+    gripper: shell-style patterns, upper case like lower; the first name that matches is the gripper's.
+    gripper_closes: whether the gripper reads a low number when it is closed, as most do, or a high one; no recording
+        says which.
     arm: patterns of the arm's position; where none matches, everything but grippers.
     rest_seconds: for how long the arm is still before it counts as at rest, since it also pauses on its way.
     """
 
     gripper: tuple[str, ...] = ("*gripper*",)
+    gripper_closes: Literal["low", "high"] = "low"
     arm: tuple[str, ...] = ("eef.x", "eef.y", "eef.z")
     rest_seconds: float = 0.5
 
@@ -59,8 +61,13 @@ class RobotConfig:
                 f"no gripper ({patterns}): every stop of the arm ({arm}) counts as settled, unless {setting} names it"
             )
         others = ", ".join(names[k] for k in grippers[1:])
-        found = f"settled where the gripper ({names[first[0]]}) has opened or, closed, the arm ({arm}) stops"
-        return f"{found}; not by {others}, which {setting} can name instead" if others else found
+        found = [
+            f"settled where the gripper ({names[first[0]]}) has opened or, closed, the arm ({arm}) stops",
+            f"it is closed where it reads {self.gripper_closes} (`data.settling.robot.gripper_closes`)",
+        ]
+        if others:
+            found.append(f"one gripper is read, and not {others}: {setting} and `.arm` can name another and its arm")
+        return "; ".join(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +75,7 @@ class RobotReader:
     """Finds the moments in states (T+1, S).
 
     gripper: its dimension of the state, or none.
+    widens: 1 where the gripper reads more as it opens, else -1.
     arm: its dimensions.
     opens: by how much the gripper's opening changes before it counts as opened or closed.
     middle: between the widest and the narrowest opening; a recording that begins below it begins closed.
@@ -78,6 +86,7 @@ class RobotReader:
     """
 
     gripper: list[int]
+    widens: int
     arm: list[int]
     opens: float
     middle: float
@@ -97,16 +106,17 @@ class RobotReader:
         """
         gripper, arm = config.columns(names)
         window = max(1, round(config.rest_seconds * fps))
-        openings = [_openings(state, gripper) for state in states]
+        widens = 1 if config.gripper_closes == "low" else -1
+        openings = [_openings(state, gripper, widens) for state in states]
         opens, _ = measure([own[:, None] for own in openings], subset(declared, gripper) or ("",), fps, window)
         middle = np.quantile(np.concatenate(openings), [0.05, 0.95]).mean()
         own = subset(declared, arm)
         moves, rests = measure([state[:, arm] for state in states], own, fps, window)
-        return cls(gripper, arm, float(opens[0]), float(middle), moves, rests, window, own)
+        return cls(gripper, widens, arm, float(opens[0]), float(middle), moves, rests, window, own)
 
     def __call__(self, state: Array) -> tuple[list[int], list[int], list[list[bool]]]:
         """The moments (m), the last observation each holds to, and which of `NAMES` each is (m, 2)."""
-        openings = _openings(state, self.gripper)
+        openings = _openings(state, self.gripper, self.widens)
         closed = self._closed(openings.tolist())
         turns = np.flatnonzero(np.diff(closed)) + 1  # each first observation with the gripper closed, or open, again
         grasps = set(turns[closed[turns]].tolist())
@@ -132,7 +142,7 @@ class RobotReader:
 
     def closings(self, state: Array) -> NDArray[np.int64]:
         """(k,) the observations of (T+1, S) at which the gripper has closed, the first one left out."""
-        closed = self._closed(_openings(state, self.gripper).tolist())
+        closed = self._closed(_openings(state, self.gripper, self.widens).tolist())
         return np.flatnonzero(closed[1:] & ~closed[:-1]) + 1
 
     def _closed(self, openings: Sequence[float]) -> NDArray[np.bool_]:
@@ -160,6 +170,6 @@ def _matching(names: Sequence[str], patterns: Sequence[str]) -> list[int]:
     return [k for k, name in enumerate(names) if any(fnmatchcase(name.lower(), pattern) for pattern in lower)]
 
 
-def _openings(state: Array, gripper: Sequence[int]) -> NDArray[np.float64]:
-    """(T+1,) how far the gripper is open; 0 throughout where there is none."""
-    return np.asarray(state[:, gripper[0]], np.float64) if gripper else np.zeros(len(state))
+def _openings(state: Array, gripper: Sequence[int], widens: int) -> NDArray[np.float64]:
+    """(T+1,) how far the gripper is open, more being wider; 0 throughout where there is none."""
+    return widens * np.asarray(state[:, gripper[0]], np.float64) if gripper else np.zeros(len(state))

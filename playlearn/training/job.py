@@ -26,13 +26,15 @@ from playlearn.executor import interruption_deferred
 from playlearn.policies import Policy, PolicySpec
 from playlearn.policies.checkpoint import first_not_finite, load_checkpoint, save_checkpoint
 from playlearn.policies.ema import averaged
+from playlearn.privileges import KEY as PRIVILEGED
 from playlearn.report.outcome import Outcome
 from playlearn.report.progress import Pace, Progress
 from playlearn.store import Store, open_store
 from playlearn.threads import limit
 from playlearn.training.config import TrainConfig, check_out, flattened, run_folder, stored_threads, training_inputs
 from playlearn.training.divergence import reason
-from playlearn.training.examples import RunExamples, store_remarks
+from playlearn.training.examples import RunExamples, store_remarks, unsettled_remarks
+from playlearn.training.privileged import check_start, privileged
 from playlearn.training.window import Window
 
 
@@ -67,8 +69,10 @@ def _is_first() -> bool:
 def _train(config: TrainConfig, out: Path, *, resume: bool) -> None:
     threads = stored_threads(config, out, resume=resume)
     limit(threads)
-    store = open_store(config.store)
-    config.policy.encoder.check_goal(store.spec, store.name())  # before anything slow
+    store = open_store(config.store, blind=config.blind)
+    where = store.name() + (" (blind)" if config.blind else "")
+    config.policy.encoder.check_goal(store.spec, where)  # before anything slow
+    check_start(config)
     inputs = training_inputs(config, store)
     if resume:
         run_folder(out).check_inputs(inputs)
@@ -303,7 +307,7 @@ class _Run:
 
     def describe(self) -> None:
         """Save what is run, before it runs; say what of the store is not read, or is read otherwise than recorded."""
-        for remark in store_remarks(self.config, self.store):
+        for remark in (*store_remarks(self.config, self.store), *unsettled_remarks(self.data)):
             print(f"{self.store.name()}: {remark}", file=sys.stderr, flush=True)
         self._metrics.unlink(missing_ok=True)  # of a run that left no checkpoint
         save_config(self.config, self.out / "config.yaml")
@@ -318,6 +322,7 @@ class _Run:
             "examples": len(self.data),
             "store": {"path": self.store.name(), "episodes": len(self.store)},
             "environment": dict(self.store.spec.environment),
+            PRIVILEGED: privileged(self.config, self.store).to_dict(),
         }
         atomic_write(self.out / "run.json", json.dumps(record, indent=2, default=dict).encode())
 

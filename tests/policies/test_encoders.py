@@ -14,7 +14,7 @@ from playlearn.policies.encoders.cameras import pixels, random_shift
 from playlearn.policies.encoders.cnn import SpatialSoftmax
 from playlearn.policies.encoders.objects import ObjectTokens
 from playlearn.policies.encoders.tokens import TokenPool
-from tests.policies.parts import ENCODERS, SPEC, Examples, examples, generator, policy
+from tests.policies.parts import ENCODERS, SPEC, Examples, examples, generator, policy, spreads
 
 ESTIMATE = {"state_supervision": 1.0, "use_estimated_state": True}
 
@@ -38,6 +38,23 @@ def test_a_withheld_goal_leaves_no_trace(encoder: str) -> None:
     one, two = (made.encoder(made._normalized(inputs), keep) for inputs in (batch, elsewhere))
     assert torch.equal(one.goal, two.goal)
     assert torch.equal(one.steps, two.steps)
+
+
+@pytest.mark.parametrize("encoder", [kind for kind in ENCODERS if policy(kind).cameras])
+def test_a_camera_may_have_dots_in_its_name(encoder: str, tmp_path: Path) -> None:
+    """As BEHAVIOR's `observation.images.rgb.head`: the same policy, whatever its cameras are called."""
+    named = {"front": "rgb.head", "wrist": "rgb.left.wrist"}
+    plain = policy(encoder)
+    config = dataclasses.replace(plain.config.encoder, cameras=tuple(named.values()), goal_camera="rgb.head")
+    spec = dataclasses.replace(SPEC, cameras={named[camera]: size for camera, size in SPEC.cameras.items()})
+    dotted = dataclasses.replace(plain.config, encoder=config).build(spec, spreads(), 0)
+    dotted.save(tmp_path)
+    seen = examples()
+    images = {named[camera]: frames for camera, frames in seen.images.items()}
+    goals = {named[camera]: frames for camera, frames in seen.goal_images.items() if camera == "front"}
+    renamed = dataclasses.replace(seen, images=images, goal_images=goals)
+    acted = Policy.load(tmp_path).act(renamed, generator())
+    assert torch.equal(acted, plain.eval().act(seen, generator()))
 
 
 @pytest.mark.parametrize("fusion", ["early", "late"])

@@ -233,7 +233,7 @@ def test_what_is_left_out_is_named(tmp_path: Path, capsys: pytest.CaptureFixture
         assert main(["info", str(where), "--json"]) == 0
         facts = json.loads(capsys.readouterr().out)
         assert facts["remarks"] == remarks
-        assert "the gripper (gripper)" in facts["goals"]
+        assert "the gripper (gripper)" in facts["goals"]["settled moments of the robot"]
         assert main(["info", str(where)]) == 0
         assert set(lines) <= set(capsys.readouterr().out.splitlines())
 

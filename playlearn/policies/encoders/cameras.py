@@ -1,5 +1,6 @@
 """What image encoders share: cameras, goal modality, pixels, random shifts."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -57,6 +58,22 @@ class CamerasConfig(EncoderConfig):
             return torch.full((batch,), given, device=device)
         draws = torch.rand(batch, generator=generator, device=generator.device)
         return (draws < self.image_goal_prob).to(device)
+
+
+class PerCamera(nn.ModuleDict):
+    """Camera -> network, whatever the camera is called: a module's name must have no dot."""
+
+    DOT = "|"
+
+    def __init__(self, networks: Mapping[str, nn.Module]) -> None:
+        super().__init__({camera.replace(".", self.DOT): network for camera, network in networks.items()})
+
+    def __getitem__(self, camera: str) -> nn.Module:
+        return super().__getitem__(camera.replace(".", self.DOT))
+
+    def networks(self) -> list[tuple[str, nn.Module]]:
+        """(camera, network), in order."""
+        return [(name.replace(self.DOT, "."), network) for name, network in self.items()]
 
 
 def pixels(frames: Tensor) -> Tensor:

@@ -27,6 +27,7 @@ from playlearn.errors import UsageError
 from playlearn.policies.encoders.base import Encoder, EncoderConfig, Proposals, Tokens
 from playlearn.policies.encoders.cameras import (
     CamerasConfig,
+    PerCamera,
     channels_last,
     pixels,
     random_shift,
@@ -50,15 +51,22 @@ class HandConfig(CamerasConfig):
         another run's (`playlearn eval --encoder RUN`).
     channels: of the estimator's finest map; a quarter of the image's size.
     noise: std of what displaces the true events in training, as a share of the spread of the robot's state.
-    feed_cameras: the cameras whose features the policy reads, for the last centimeters.
+    feed_cameras: the cameras whose features the policy reads, for the last centimeters (null: all but the goal's).
     features: width of such a camera's feature vector.
     """
 
     supervision: float = 1.0
     channels: int = 32
     noise: float = 0.1
-    feed_cameras: tuple[str, ...] = ("wrist",)
+    feed_cameras: tuple[str, ...] | None = None
     features: int = 128
+
+    @property
+    def fed_cameras(self) -> tuple[str, ...]:
+        """The cameras whose features the policy reads."""
+        if self.feed_cameras is not None:
+            return self.feed_cameras
+        return tuple(camera for camera in self.cameras if camera != self.goal_camera)
 
     @property
     def uses_events(self) -> bool:
@@ -66,7 +74,7 @@ class HandConfig(CamerasConfig):
 
     @property
     def observation_cameras(self) -> tuple[str, ...]:
-        return self.cameras if self.supervision > 0 else self.feed_cameras
+        return self.cameras if self.supervision > 0 else self.fed_cameras
 
     @property
     def goal_cameras(self) -> tuple[str, ...]:
@@ -82,7 +90,7 @@ class HandConfig(CamerasConfig):
 
     def build(self, spec: PolicySpec, width: int, *, fetch: bool = True) -> "HandEncoder":
         self.check()
-        unknown = set(self.feed_cameras) - set(self.cameras)
+        unknown = set(self.fed_cameras) - set(self.cameras)
         if unknown:
             raise UsageError(f"encoder.feed_cameras: {min(unknown)!r} is not among encoder.cameras {self.cameras}")
         return HandEncoder(self, spec, width)
@@ -102,16 +110,16 @@ class HandEncoder(Encoder):
         self.events = nn.ModuleDict({name: mlp(3 * state + 1, config.hidden, width) for name in EVENTS})
         self.robot = mlp(state, config.hidden, width)
         features = CNNConfig(features=config.features)
-        self.fed = nn.ModuleDict(
+        self.fed = PerCamera(
             {
                 camera: nn.Sequential(
                     features.backbone(3, spec.cameras[camera], fetch=False), nn.Linear(config.features, width)
                 )
-                for camera in config.feed_cameras
+                for camera in config.fed_cameras
             }
         )
         self.goal_flag = nn.Parameter(torch.randn(2, width) * 0.02)  # without, with a goal
-        self.step_tokens = len(EVENTS) + len(config.feed_cameras) + 1
+        self.step_tokens = len(EVENTS) + len(config.fed_cameras) + 1
 
     def forward(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
         state, config = inputs.state, self.config  # (B, T, S)
@@ -124,7 +132,7 @@ class HandEncoder(Encoder):
             left = seen - state * there
             given = there.expand(*state.shape[:2], 1)
             made.append(self.events[name](torch.cat([seen, left, torch.tanh(NEAR * left), given], -1)).unsqueeze(2))
-        for camera, net in self.fed.items():
+        for camera, net in self.fed.networks():
             frames = random_shift(inputs.images[camera], config.shift, generator)
             made.append(net(pixels(frames.flatten(0, 1))).unflatten(0, state.shape[:2]).unsqueeze(2))
         made.append(self.robot(state).unsqueeze(2))

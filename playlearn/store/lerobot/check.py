@@ -165,6 +165,8 @@ def _format_problems(root: Path, problems: Sequence[Problem], whole: int, total:
         lines.append(f"{without_images} of {total} without their images: `without_images: true`")
     if whole or without_images:
         lines.append("(in the `store` block of a config, or as `--store.skip_broken true` after `--store.root FOLDER`)")
+    if without_images:
+        lines.append(f"what it allows without them: `playlearn info {root} --without-images`")
     return "\n".join(lines)
 
 

@@ -23,12 +23,13 @@ from numpy.typing import NDArray
 from playlearn.config import digest, make_folder
 from playlearn.episode import IMAGES, REWARD, STORED, Array, Episode, EpisodeMeta
 from playlearn.errors import DiskError, EpisodeError, StoreError, UsageError
+from playlearn.picture import resized
 from playlearn.quantity import Quantities, subset
 from playlearn.store.base import StoreSpec, spec_digest, summary
 from playlearn.store.lerobot import check, sidecar
 from playlearn.store.lerobot.content import NEXT_REWARD, SUCCESS
 from playlearn.store.lerobot.features import Size
-from playlearn.store.lerobot.frames import decode_episode, resized
+from playlearn.store.lerobot.frames import decode_episode
 from playlearn.store.lerobot.metadata import DatasetMetadata, Row, load_metadata
 from playlearn.store.lerobot.parts import OUTCOMES, VECTORS, left_out, read_features
 from playlearn.store.lerobot.subtasks import EVENTS, PERSISTENT
