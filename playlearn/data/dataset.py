@@ -206,13 +206,6 @@ class PlayDataset(Examples):
             events={} if self._closed is None else self._events(self._closed, episode, t),
         )
 
-    def _without_goals(self) -> str:
-        """What to do where there is no goal to draw."""
-        if self.config.goals.reads_moments and not len(self.table.moments) and not len(self.table.change):
-            read = self.config.settling.robot.describe(self.store.spec.state_names)
-            return f"{read}; or take any later moment as goal: `--data.goals.type future`"
-        return "collect longer episodes, or choose other `goals` or thresholds in `settling`"
-
     def segments(self, episode: int) -> list[tuple[int, int, int]]:
         """(settled moment, last observation of its configuration, grasp or -1) of the episode at this place.
 
@@ -234,6 +227,13 @@ class PlayDataset(Examples):
         rows = self.table.rows[episode][:, None] + np.maximum(ahead, 0)
         states = np.where((ahead >= 0)[..., None], self.state.take(rows, axis=0), np.float32(np.nan))
         return {name: torch.from_numpy(states[:, k]) for k, name in enumerate(EVENTS)}
+
+    def _without_goals(self) -> str:
+        """What to do where there is no goal to draw."""
+        if self.config.goals.reads_moments and not len(self.table.moments) and not len(self.table.change):
+            read = self.config.settling.robot.describe(self.store.spec.state_names)
+            return f"{read}; or take any later moment as goal: `--data.goals.type future`"
+        return "collect longer episodes, or choose other `goals` or thresholds in `settling`"
 
     def _frames(self, camera: str, episode: Indices, rows: Indices) -> torch.Tensor:
         """(B, k, h, w, 3) uint8 of observations rows (B, k)."""

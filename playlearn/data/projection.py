@@ -15,12 +15,14 @@ from torch import Tensor
 
 from playlearn.data.dataset import PlayDataset
 from playlearn.episode import IMAGES, Array
+from playlearn.errors import StoreError
 from playlearn.policies.encoders.hand import hand_terms
 from playlearn.policies.normalize import Normalizer
 
 CELL = 4  # pixels of a cell of the difference images
 BLURS = (2.5, 1.8, 1.2, 0.8)  # cells, from coarse to fine
 STARTS, REFINED, UPDATES = 3000, 4, 100  # random functions to try, how many of them are refined, updates for each blur
+FEWEST = 30  # grasps
 LEAST = 0.3  # of the mean difference, counted everywhere: what was hidden, or moved little, must not decide
 
 
@@ -28,8 +30,17 @@ def hand_projection(dataset: PlayDataset, normalizer: Normalizer, camera: str, m
     """(Q, 2) the weights of `hand_terms` of the normalized state that give x and y in the image, each in [-1, 1].
 
     moving: the numbers of the state that decide.
+
+    Raises:
+        StoreError: the play has too few grasps that a settled moment follows.
     """
     pairs = [pair for e in range(len(dataset.episodes)) for pair in _pairs(dataset, camera, e)]
+    if len(pairs) < FEWEST:
+        raise StoreError(
+            f"{dataset.store.name()}: {len(pairs)} grasps with a settled moment after them; where the {camera} camera "
+            f"shows the hand is read from {FEWEST} or more: record more play, see that `data.settling.robot` names the "
+            "gripper, or take an encoder of another type (cnn)"
+        )
     differences = torch.from_numpy(np.stack([difference for difference, _ in pairs]))  # (n, h', w')
     states = normalizer.normalize("state", torch.from_numpy(np.stack([state for _, state in pairs])))  # (n, 2, S)
     terms = hand_terms(states[..., list(moving)])  # (n, 2, Q)

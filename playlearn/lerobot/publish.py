@@ -49,14 +49,9 @@ def export_policy(run: Path, out: Path) -> list[str]:
         exported.save_pretrained(building)
         for pipeline in make_playlearn_pre_post_processors(config):
             pipeline.save_pretrained(building)
-        card = template("policy_card.md.j2").render(
-            title=out.name,
-            spec=policy.spec,
-            config=policy.config,
-            inputs=list(inputs),
-            goals=goals,
-            privileged=Privileges.of_run(run).to_dict(),
-        )
+        used = Privileges.of_run(run).to_dict()
+        facts = {"title": out.name, "spec": policy.spec, "config": policy.config, "privileged": used}
+        card = template("policy_card.md.j2").render(facts, inputs=list(inputs), goals=goals)
         (building / "README.md").write_text(card, encoding="utf-8")
         back = PlaylearnPolicy.from_pretrained(building, strict=True)
         written, read = policy.state_dict(), back.policy.state_dict()

@@ -27,6 +27,7 @@ from playlearn.policies import Policy, PolicySpec
 from playlearn.policies.checkpoint import first_not_finite, load_checkpoint, save_checkpoint
 from playlearn.policies.ema import averaged
 from playlearn.privileges import KEY as PRIVILEGED
+from playlearn.report.events import events_picture
 from playlearn.report.outcome import Outcome
 from playlearn.report.progress import Pace, Progress
 from playlearn.store import Store, open_store
@@ -298,6 +299,9 @@ class _Run:
         outcome = Outcome.of(map(json.loads, lines), self.step, self.config.steps, self.seconds)
         record = json.loads((self.out / "run.json").read_text(encoding="utf-8"))
         atomic_write(self.out / "run.json", json.dumps({**record, "outcome": outcome.numbers()}, indent=2).encode())
+        picture = events_picture(cast(Policy, self.ema.module), self.examples.val[0]) if self.examples.val else None
+        if picture is not None:
+            atomic_write(self.out / "events.png", picture)
         for line in outcome.summary():
             print(f"{self.out}: {line}", file=sys.stderr, flush=True)
         complaint = outcome.complaint()

@@ -37,7 +37,7 @@ def test_a_withheld_goal_leaves_no_trace(encoder: str) -> None:
     batch, other = examples(), examples(seed=3)
     elsewhere = dataclasses.replace(batch, goal_achieved=other.goal_achieved, goal_images=other.goal_images)
     keep = torch.zeros(5, dtype=torch.bool)
-    one, two = (made.encoder(made._normalized(inputs), keep) for inputs in (batch, elsewhere))
+    one, two = (made.encoder(made.normalized(inputs), keep) for inputs in (batch, elsewhere))
     assert torch.equal(one.goal, two.goal)
     assert torch.equal(one.steps, two.steps)
 
@@ -75,7 +75,7 @@ def test_the_auxiliary_loss_trains_the_estimate_and_the_policy_only_if_configure
         made = policy("cnn", encoder_options={**ESTIMATE, "detach_estimate": detached})
         batch = examples()
         keep = torch.ones(5, dtype=torch.bool)
-        features, extra = made._features(made._normalized(batch), keep, None)
+        features, extra = made._features(made.normalized(batch), keep, None)
         features.square().sum().backward(retain_graph=True)
         layers = list(made.encoder.estimate.parameters())
         assert all(p.grad is None for p in layers) == detached
@@ -222,7 +222,7 @@ def test_a_goal_changes_nothing_of_what_is_looked_at_until_something_is_learned(
     keep = torch.ones(5, dtype=torch.bool)
 
     def steps(inputs: Examples) -> torch.Tensor:
-        return made.encoder(made._normalized(inputs), keep).steps
+        return made.encoder(made.normalized(inputs), keep).steps
 
     assert torch.equal(steps(batch), steps(elsewhere))
     optimizer = torch.optim.SGD(made.parameters(), lr=0.1)

@@ -2,13 +2,14 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 import torch
 
 from playlearn.errors import UsageError
 from playlearn.policies.encoders.hand import EVENTS, EventEstimator, hand_dimensions
 from playlearn.quantity import Quantities
-from tests.policies.parts import SPEC, H, S, examples, generator, policy
+from tests.policies.parts import SPEC, S, examples, generator, policy
 
 
 def calibrated(channels: int = 8, size: tuple[int, int] = (32, 48)) -> EventEstimator:
@@ -31,32 +32,43 @@ def test_the_true_events_are_learned_from_and_estimates_acted_on() -> None:
     assert not torch.equal(made.act(seen, generator()), plain)
 
 
-def test_without_an_estimator_it_needs_the_events_of_another() -> None:
-    made = policy("hand", encoder_options={"supervision": 0}).eval()
-    assert made.cameras == ("wrist",)
-    assert made.act(examples(), generator()).shape == (5, H, 3)
-    with pytest.raises(UsageError, match=r"encoder\.supervision is 0.*--encoder RUN"):
-        made.act(dataclasses.replace(examples(), events={}), generator())
+def test_the_noise_in_training_is_as_wide_as_the_estimates_are_off() -> None:
+    """Laplace noise of scale b is off by b on average; of twice the noise, by twice as much."""
+    made = policy("hand", encoder_options={"noise": 2.0})
+    made.encoder.estimate.log_scale.data.fill_(-1.0)
+    many = examples(4000)
+    poses = made.encoder._poses(many, None, generator())
+    apart = (poses["settled"] - many.events["settled"]).abs().mean()
+    assert apart == pytest.approx(2 * np.exp(-1.0), rel=0.05)
+    assert torch.equal(poses["grasp"].isnan(), many.events["grasp"].isnan())
 
 
-def test_it_acts_behind_the_estimator_of_another_run(tmp_path_factory: pytest.TempPathFactory) -> None:
-    mine, other = policy("hand", encoder_options={"supervision": 0}, seed=1), policy("hand", seed=2)
-    joined = mine.behind(other, tmp_path_factory.mktemp("run"))
-    for name, weights in mine.trunk.state_dict().items():
-        assert torch.equal(joined.trunk.state_dict()[name], weights)
-    blind = dataclasses.replace(examples(), events={})
-    assert not torch.equal(joined.act(blind, generator()), other.eval().act(blind, generator()))
+def test_with_its_estimator_kept_a_policy_does_not_look_at_the_goal_to_learn() -> None:
+    """Nothing of the estimator is computed or changed: two commands, each as quick as what it learns."""
+    made = policy("hand")
+    made.freeze_except(
+        ["encoder.events.*", "encoder.fed.*", "encoder.robot.*", "encoder.goal_flag", "trunk.*", "head.*"]
+    )
+    made.train()
+    batch = examples()
+    other = dataclasses.replace(batch, goal_images=examples(seed=5).goal_images)
+    losses = [made(one, generator()) for one in (batch, other)]
+    assert torch.equal(losses[0][0], losses[1][0])
+    assert set(losses[0][1]) == {"head"}
+    losses[0][0].backward()
+    assert all(parameter.grad is None for parameter in made.encoder.estimate.parameters())
+    assert set(made.eval().loss(batch, generator())[1]) == {"head", "where", "state", "refined", "ahead"}
 
 
 def test_what_does_not_lie_ahead_is_read_as_nothing() -> None:
     """An event that is over tells nothing of where it was: whatever stands there, the tokens are the same."""
-    made = policy("hand", encoder_options={"supervision": 0}).eval()
+    made = policy("hand").eval()
     over = {name: torch.full((5, S), torch.nan) for name in EVENTS}
     batch = dataclasses.replace(examples(), events=over)
     assert torch.isfinite(made.act(batch, generator())).all()
     loss, parts = policy("hand").train()(batch, generator())
     assert torch.isfinite(loss)
-    assert float(parts["where"]) == float(parts["state"]) == 0
+    assert float(parts["where"]) == float(parts["state"]) == float(parts["refined"]) == 0
 
 
 def test_shifted_images_are_matched_by_shifted_cells() -> None:

@@ -127,7 +127,7 @@ def test_an_observation_that_is_its_own_goal_is_seen_once_and_tells_the_same() -
     apart = replace(batch, goal_images={"front": batch.images["front"][:, 0].clone()})
     looks = []
     ours.encoder.front.register_forward_pre_hook(lambda _, inputs: looks.append(len(inputs[0])))
-    one, other = (ours.encoder.perceive(ours._normalized(b)) for b in (same, apart))
+    one, other = (ours.encoder.perceive(ours.normalized(b)) for b in (same, apart))
     assert looks == [3, 6]
     torch.testing.assert_close(one.observed, other.observed)
     torch.testing.assert_close(one.wanted, other.wanted)

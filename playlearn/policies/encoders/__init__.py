@@ -2,7 +2,7 @@
 
 from playlearn.policies.encoders.base import Encoder, EncoderConfig, Modality, Tokens
 from playlearn.policies.encoders.cnn import CNNConfig
-from playlearn.policies.encoders.hand import HandConfig
+from playlearn.policies.encoders.hand import HandConfig, HandEncoder
 from playlearn.policies.encoders.image import ImageConfig
 from playlearn.policies.encoders.keypoints import KeypointsConfig
 from playlearn.policies.encoders.state import StateConfig
@@ -15,6 +15,7 @@ __all__ = [
     "Encoder",
     "EncoderConfig",
     "HandConfig",
+    "HandEncoder",
     "ImageConfig",
     "KeypointsConfig",
     "Modality",

@@ -106,13 +106,15 @@ class Proposals:
     states: (B, E, N, S) normalized robot states.
     ahead: (B, E) logits of whether the event lies ahead.
     shift: (B, 2), x and y in [-1, 1], by which the images were shifted.
-    refined: (B, E, S) the proposal of each event's most confident cell, after a closer look.
+    answers: (B, E, K) confidence of each answer that a closer look at the most confident cell gives.
+    refined: (B, E, K, S) these answers, normalized robot states.
     """
 
     logits: Tensor
     states: Tensor
     ahead: Tensor
     shift: Tensor
+    answers: Tensor
     refined: Tensor
 
 

@@ -13,7 +13,7 @@ needs to be calibrated, and joints do as well as Cartesian positions. Shifted im
 one grasp teaches those elsewhere.
 
 In training the policy reads the true events, displaced by as much noise as the estimates err: estimates for the very
-play that the encoder learned from are far too good.
+play that the encoder learned from are far too good. So the estimator is trained first, and the policy from that run.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -47,31 +47,27 @@ EVENTS = ("grasp", "settled")  # of `relabeling.hand`, which policies do not imp
 class HandConfig(CamerasConfig):
     """Event tokens from images, and the features of further cameras.
 
-    supervision: weight of the loss that trains the estimates; 0 builds no estimator, for a policy that acts behind
-        another run's (`playlearn eval --encoder RUN`).
     channels: of the estimator's finest map; a quarter of the image's size.
-    noise: std of what displaces the true events in training, as a share of the spread of the robot's state.
-    feed_cameras: the cameras whose features the policy reads, for the last centimeters.
+    noise: by how much the true events are displaced in training, as a multiple of how far estimates are off.
+    feed_cameras: the cameras whose features the policy reads, for the last centimeters (null: all but the goal's).
     features: width of such a camera's feature vector.
     """
 
-    supervision: float = 1.0
     channels: int = 32
-    noise: float = 0.1
-    feed_cameras: tuple[str, ...] = ("wrist",)
+    noise: float = 1.3
+    feed_cameras: tuple[str, ...] | None = None
     features: int = 128
+
+    @property
+    def fed_cameras(self) -> tuple[str, ...]:
+        """The cameras whose features the policy reads."""
+        if self.feed_cameras is not None:
+            return self.feed_cameras
+        return tuple(camera for camera in self.cameras if camera != self.goal_camera)
 
     @property
     def uses_events(self) -> bool:
         return True
-
-    @property
-    def observation_cameras(self) -> tuple[str, ...]:
-        return self.cameras if self.supervision > 0 else self.feed_cameras
-
-    @property
-    def goal_cameras(self) -> tuple[str, ...]:
-        return (self.goal_camera,) if self.supervision > 0 else ()
 
     @property
     def needs_achieved(self) -> bool:
@@ -83,7 +79,7 @@ class HandConfig(CamerasConfig):
 
     def build(self, spec: PolicySpec, width: int, *, fetch: bool = True) -> "HandEncoder":
         self.check()
-        unknown = set(self.feed_cameras) - set(self.cameras)
+        unknown = set(self.fed_cameras) - set(self.cameras)
         if unknown:
             raise UsageError(f"encoder.feed_cameras: {min(unknown)!r} is not among encoder.cameras {self.cameras}")
         return HandEncoder(self, spec, width)
@@ -99,7 +95,7 @@ class HandEncoder(Encoder):
         self.config, state = config, len(spec.state_names)
         size = spec.cameras[config.goal_camera]
         moving = hand_dimensions(spec)
-        self.estimate = EventEstimator(state, moving, config.channels, size) if config.supervision > 0 else None
+        self.estimate = EventEstimator(state, moving, config.channels, size)
         self.events = nn.ModuleDict({name: mlp(3 * state + 1, config.hidden, width) for name in EVENTS})
         self.robot = mlp(state, config.hidden, width)
         features = CNNConfig(features=config.features)
@@ -108,11 +104,11 @@ class HandEncoder(Encoder):
                 camera: nn.Sequential(
                     features.backbone(3, spec.cameras[camera], fetch=False), nn.Linear(config.features, width)
                 )
-                for camera in config.feed_cameras
+                for camera in config.fed_cameras
             }
         )
         self.goal_flag = nn.Parameter(torch.randn(2, width) * 0.02)  # without, with a goal
-        self.step_tokens = len(EVENTS) + len(config.feed_cameras) + 1
+        self.step_tokens = len(EVENTS) + len(config.fed_cameras) + 1
 
     def forward(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
         state, config = inputs.state, self.config  # (B, T, S)
@@ -135,48 +131,44 @@ class HandEncoder(Encoder):
         return [parameter for name, parameter in self.named_parameters() if not name.startswith("estimate.")]
 
     def calibrate(self, project: Callable[[str, Sequence[int]], Tensor]) -> None:
-        if self.estimate is not None:
-            found = project(self.config.goal_camera, self.estimate.moving)
-            self.estimate.get_buffer("projection").copy_(found)
+        found = project(self.config.goal_camera, self.estimate.moving)
+        self.estimate.get_buffer("projection").copy_(found)
 
     def perceive(self, inputs: Inputs, generator: torch.Generator | None = None) -> Tokens:
         none = inputs.state.new_empty(len(inputs.state), 0, 0)
         return Tokens(none, none.unsqueeze(1), proposals=self._proposals(inputs, generator))
 
     def auxiliary(self, tokens: Tokens, inputs: Inputs) -> dict[str, Tensor]:
-        if self.estimate is None or tokens.proposals is None or not inputs.events:
+        if tokens.proposals is None or not inputs.events:
             return {}
-        losses = self.estimate.loss(tokens.proposals, inputs.events)
-        return {name: self.config.supervision * loss for name, loss in losses.items()}
+        return self.estimate.loss(tokens.proposals, inputs.events)
+
+    def events_ahead(self, inputs: Inputs) -> Mapping[str, Tensor]:
+        """Event -> (B, S) the state that is estimated, NaN where it does not lie ahead; all normalized."""
+        return self.estimate.most_likely(self._proposals(inputs, None))
+
+    def seen(self, state: Tensor) -> Tensor:
+        """(B, S) normalized to (B, 2), x and y in [-1, 1]: where the goal's camera shows the hand in such a state."""
+        return self.estimate.project(state)
 
     def _estimates(self, inputs: Inputs, generator: torch.Generator | None) -> bool:
         """Whether events are estimated: where they are not given, to be judged, and to learn it."""
-        if self.estimate is None or generator is None or not inputs.events:
-            return self.estimate is not None
-        return any(parameter.requires_grad for parameter in self.estimate.parameters())
+        learns = any(parameter.requires_grad for parameter in self.estimate.parameters())
+        return generator is None or not inputs.events or learns
 
     def _poses(
         self, inputs: Inputs, proposals: Proposals | None, generator: torch.Generator | None
     ) -> Mapping[str, Tensor]:
         """Event -> (B, S) normalized, NaN where it does not lie ahead: the true one in training, else the estimate."""
-        if generator is not None and inputs.events:
-            return {name: self._displaced(pose, generator) for name, pose in inputs.events.items()}
-        if self.estimate is not None and proposals is not None:
+        if proposals is not None and (generator is None or not inputs.events):
             return self.estimate.most_likely(proposals)
-        if inputs.events:
-            return inputs.events
-        raise UsageError(
-            "encoder.supervision is 0: this policy estimates no events itself; let it act behind the image encoder of "
-            "another run (`--encoder RUN`)"
-        )
+        scales = self.config.noise * self.estimate.log_scale.detach().exp()  # (E, 1, S)
+        return {
+            name: pose + scale * _laplace_noise(pose, generator)
+            for (name, pose), scale in zip(inputs.events.items(), scales, strict=True)
+        }
 
-    def _displaced(self, pose: Tensor, generator: torch.Generator) -> Tensor:
-        drawn = torch.randn(pose.shape, generator=generator, device=generator.device).to(pose.device)
-        return pose + self.config.noise * drawn
-
-    def _proposals(self, inputs: Inputs, generator: torch.Generator | None) -> Proposals | None:
-        if self.estimate is None:
-            return None
+    def _proposals(self, inputs: Inputs, generator: torch.Generator | None) -> Proposals:
         camera = self.config.goal_camera
         both = torch.stack([inputs.images[camera][:, -1], inputs.goal_images[camera]], dim=1)  # (B, 2, h, w, 3)
         offsets = shift_offsets(len(both), self.config.shift, generator)
@@ -193,6 +185,7 @@ class EventEstimator(nn.Module):
     """
 
     STRIDE, GLIMPSE = 4, 16
+    ANSWERS = 4  # a block may be taken either way round
     NEAR = 0.25  # of half the image: a glimpse this far off teaches nothing
 
     def __init__(self, state: int, moving: list[int], channels: int, size: tuple[int, int]) -> None:
@@ -217,7 +210,8 @@ class EventEstimator(nn.Module):
         self.propose = nn.Conv2d(channels, events * (1 + state), 1)
         self.ahead = mlp(4 * channels + state, 64, events)
         self.glimpses = Glimpses(self.GLIMPSE, events, 64, 6, size)
-        self.refine = mlp(self.glimpses.features + state, 128, state)
+        self.answer = mlp(events * self.glimpses.features + state, 256, events * self.ANSWERS * (1 + state))
+        self.log_scale = nn.Parameter(torch.zeros(events, 1, state))
         channels_last(self)
 
     def forward(self, frames: Tensor, goal: Tensor, state: Tensor, offsets: Tensor | None) -> Proposals:
@@ -242,9 +236,9 @@ class EventEstimator(nn.Module):
         logits, states = found[:, :, 0], reached + found[:, :, 1:].movedim(2, -1)
         peak = logits.argmax(-1)  # (B, E)
         seen = self.glimpses(images, self.get_buffer("cells")[peak])  # (B, E, F)
-        near = torch.cat([seen, state.unsqueeze(1).expand(-1, len(EVENTS), -1)], -1)
-        refined = _at(states, peak).detach() + self.refine(near)
-        return Proposals(logits, states, self.ahead(pooled), shift, refined)
+        answers = self.answer(torch.cat([seen.flatten(1), state], -1)).view(len(state), len(EVENTS), self.ANSWERS, -1)
+        refined = _at(states, peak).detach().unsqueeze(2) + answers[..., 1:]
+        return Proposals(logits, states, self.ahead(pooled), shift, answers[..., 0], refined)
 
     def loss(self, found: Proposals, events: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Of the cells at which the true events (B, S) are seen, and of the states that these propose.
@@ -258,22 +252,25 @@ class EventEstimator(nn.Module):
         inside = there & (seen.abs() <= 1).all(-1)
         points = seen.masked_fill(~inside.unsqueeze(-1), torch.nan)
         where = heatmap_loss(found.logits.unflatten(-1, self.shape), points)
-        apart = (self.get_buffer("cells") - seen.unsqueeze(2)).square().sum(-1)  # (B, E, N)
-        error = _error(_at(found.states, apart.argmin(-1)), target)
-        near = inside & (_at(apart.unsqueeze(-1), found.logits.argmax(-1))[..., 0] < self.NEAR**2)
-        refined = _error(found.refined, target)
+        away = (self.get_buffer("cells") - seen.unsqueeze(2)).square().sum(-1)  # (B, E, N)
+        error = _error(_at(found.states, away.argmin(-1)), target)
+        near = inside & (_at(away.unsqueeze(-1), found.logits.argmax(-1))[..., 0] < self.NEAR**2)
+        scale = self.log_scale.clamp(min=-4)  # of a Laplace density
+        apart = ((found.refined - target.unsqueeze(2)).abs() / scale.exp() + scale).sum(-1)  # (B, E, K)
+        refined = -(found.answers.log_softmax(-1) - apart).logsumexp(-1) / self.state
         ahead = nn.functional.binary_cross_entropy_with_logits(found.ahead, there.to(target.dtype))
         count = inside.sum().clamp(min=1)
         return {
             "where": where,
             "state": 10 * (error * inside).sum() / count,
-            "refined": 10 * (refined * near).sum() / near.sum().clamp(min=1),
+            "refined": (refined * near).sum() / near.sum().clamp(min=1),
             "ahead": ahead,
         }
 
     def most_likely(self, found: Proposals) -> dict[str, Tensor]:
-        """Event -> (B, S), the proposal of the most confident cell; NaN where the event does not lie ahead."""
-        states = found.refined.masked_fill((found.ahead < 0)[..., None], torch.nan)  # (B, E, S)
+        """Event -> (B, S), the likeliest answer at the most confident cell; NaN where the event does not lie ahead."""
+        states = _at(found.refined, found.answers.argmax(-1))
+        states = states.masked_fill((found.ahead < 0)[..., None], torch.nan)  # (B, E, S)
         return dict(zip(EVENTS, states.unbind(1), strict=True))
 
     def project(self, state: Tensor) -> Tensor:
@@ -294,6 +291,13 @@ class EventEstimator(nn.Module):
         reached = self.reaches(torch.stack([x, y, x * x, x * y, y * y], -1))  # (B, N, E S)
         by_event: Tensor = reached.unflatten(-1, (len(EVENTS), -1)).movedim(-2, 1)
         return by_event
+
+
+def _laplace_noise(like: Tensor, generator: torch.Generator | None) -> Tensor:
+    """Of scale 1 and this shape."""
+    device = like.device if generator is None else generator.device
+    uniform = torch.rand(like.shape, generator=generator, device=device).to(like.device) - 0.5
+    return -uniform.sign() * torch.log1p(-2 * uniform.abs().clamp(max=0.4999))
 
 
 def _at(values: Tensor, cell: Tensor) -> Tensor:

@@ -22,10 +22,10 @@ def read_features(metadata: DatasetMetadata, state: str, achieved: str, action: 
     features, where = metadata.features, metadata.root / INFO
     wanted = {"state": state, "achieved": achieved, "action": action}
     if action in (state, achieved):
-        role = "state" if action == state else "achieved"
+        given = "state" if action == state else "achieved"
         raise StoreError(
-            f"{where}: {action!r} is named as `action` and as `{role}`: a policy would be shown what it is to predict; "
-            f"name another feature as `{role}`"
+            f"{where}: {action!r} is named as `action` and as `{given}`: a policy would be shown what it is to "
+            f"predict; name another feature as `{given}`"
         )
     vectors = [key for key, one in features.items() if is_numeric(one["dtype"]) and key not in BOOKKEEPING]
     found = {}
