@@ -6,14 +6,15 @@ state at these events from the observation, the goal image and their difference,
 how far they are from the present state, as the state encoder reads objects and their goals.
 
 What is grasped, and where it goes, shows where observation and goal differ, wherever in the image that is. So every
-cell of a fully convolutional network makes a proposal: the robot state that reaches this cell, plus an offset read from
-the pixels around it. The proposals are a mixture density over states (Bishop 1994) whose weights are the network's
-confidence. The state that reaches a cell is a smooth function of the cell's position, learned with the rest: no camera
-needs to be calibrated, and joints do as well as Cartesian positions. Shifted images are matched by shifted cells, so
-one grasp teaches those elsewhere.
+cell of a fully convolutional network says how likely an event is seen there, and which state of the robot that would
+be: a smooth function of the cell's position, learned with the rest, and an offset read from the pixels around it. Which
+cell is right is known once it is known where the camera shows the hand; that is read off the play (`data.projection`),
+so no camera needs to be calibrated. Shifted images are matched by shifted cells, so one grasp teaches those elsewhere.
+A closer look at the likeliest cells then gives the states.
 
-In training the policy reads the true events, displaced by as much noise as the estimates err: estimates for the very
-play that the encoder learned from are far too good. So the estimator is trained first, and the policy from that run.
+The policy reads the estimates in training as in acting: true events displaced by noise as wide as the estimates are off
+made a worse one, since most of that is not error but what nobody can tell, where along its length a block is taken. So
+the estimator is trained first, and the policy from that run.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -48,13 +49,11 @@ class HandConfig(CamerasConfig):
     """Event tokens from images, and the features of further cameras.
 
     channels: of the estimator's finest map; a quarter of the image's size.
-    noise: by how much the true events are displaced in training, as a multiple of how far estimates are off.
     feed_cameras: the cameras whose features the policy reads, for the last centimeters (null: all but the goal's).
     features: width of such a camera's feature vector.
     """
 
     channels: int = 32
-    noise: float = 1.3
     feed_cameras: tuple[str, ...] | None = None
     features: int = 128
 
@@ -112,9 +111,10 @@ class HandEncoder(Encoder):
 
     def forward(self, inputs: Inputs, keep: Tensor, generator: torch.Generator | None = None) -> Tokens:
         state, config = inputs.state, self.config  # (B, T, S)
-        proposals = self._proposals(inputs, generator) if self._estimates(inputs, generator) else None
+        proposals = self._proposals(inputs, generator)
         made: list[Tensor] = []
-        for name, pose in self._poses(inputs, proposals, generator).items():  # (B, S)
+        for name, pose in self.estimate.most_likely(proposals).items():  # (B, S)
+            pose = pose.detach()
             ahead = ~pose.isnan().any(-1) & keep  # (B,)
             there = ahead[:, None, None].to(state.dtype)
             seen = (pose.nan_to_num().unsqueeze(1) * there).expand_as(state)
@@ -150,23 +150,6 @@ class HandEncoder(Encoder):
     def seen(self, state: Tensor) -> Tensor:
         """(B, S) normalized to (B, 2), x and y in [-1, 1]: where the goal's camera shows the hand in such a state."""
         return self.estimate.project(state)
-
-    def _estimates(self, inputs: Inputs, generator: torch.Generator | None) -> bool:
-        """Whether events are estimated: where they are not given, to be judged, and to learn it."""
-        learns = any(parameter.requires_grad for parameter in self.estimate.parameters())
-        return generator is None or not inputs.events or learns
-
-    def _poses(
-        self, inputs: Inputs, proposals: Proposals | None, generator: torch.Generator | None
-    ) -> Mapping[str, Tensor]:
-        """Event -> (B, S) normalized, NaN where it does not lie ahead: the true one in training, else the estimate."""
-        if proposals is not None and (generator is None or not inputs.events):
-            return self.estimate.most_likely(proposals)
-        scales = self.config.noise * self.estimate.log_scale.detach().exp()  # (E, 1, S)
-        return {
-            name: pose + scale * _laplace_noise(pose, generator)
-            for (name, pose), scale in zip(inputs.events.items(), scales, strict=True)
-        }
 
     def _proposals(self, inputs: Inputs, generator: torch.Generator | None) -> Proposals:
         camera = self.config.goal_camera
@@ -291,13 +274,6 @@ class EventEstimator(nn.Module):
         reached = self.reaches(torch.stack([x, y, x * x, x * y, y * y], -1))  # (B, N, E S)
         by_event: Tensor = reached.unflatten(-1, (len(EVENTS), -1)).movedim(-2, 1)
         return by_event
-
-
-def _laplace_noise(like: Tensor, generator: torch.Generator | None) -> Tensor:
-    """Of scale 1 and this shape."""
-    device = like.device if generator is None else generator.device
-    uniform = torch.rand(like.shape, generator=generator, device=device).to(like.device) - 0.5
-    return -uniform.sign() * torch.log1p(-2 * uniform.abs().clamp(max=0.4999))
 
 
 def _at(values: Tensor, cell: Tensor) -> Tensor:
