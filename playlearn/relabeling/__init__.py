@@ -8,6 +8,7 @@ from playlearn.relabeling.final import FinalConfig
 from playlearn.relabeling.final_settled import FinalSettledConfig
 from playlearn.relabeling.fixed import FixedConfig
 from playlearn.relabeling.geometric import GeometricConfig
+from playlearn.relabeling.images import ImagesConfig
 from playlearn.relabeling.index import RelabelIndex
 from playlearn.relabeling.mixture import MixtureConfig, WeightedSampler
 from playlearn.relabeling.random import RandomConfig
@@ -26,6 +27,7 @@ __all__ = [
     "GeometricConfig",
     "GoalSampler",
     "GoalSamplerConfig",
+    "ImagesConfig",
     "MixtureConfig",
     "RandomConfig",
     "RelabelIndex",

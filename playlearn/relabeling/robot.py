@@ -78,12 +78,14 @@ class Grasp:
     """What happened between a closing of the gripper and its opening.
 
     closed: the first observation with the gripper closed.
+    until: the last before its fingers begin to open.
     holds: something kept it from shutting.
     stops: settled moments at which the arm had come to rest.
     opened: the settled moment at which it had opened; None where it stayed closed or had changed nothing.
     """
 
     closed: int
+    until: int
     holds: bool
     stops: tuple[int, ...]
     opened: int | None
@@ -184,7 +186,7 @@ class RobotReader:
                 wide = openings[end:closes]
                 opened = end + int((wide >= wide.max() - self.opens).argmax())
             holds = bool(np.median(openings[begin : max(loosens, begin + 1)]) > self.shut + self.opens)
-            found.append(Grasp(begin, holds, tuple(stops), opened))
+            found.append(Grasp(begin, loosens, holds, tuple(stops), opened))
         return found
 
     def ends(self, state: Array, moments: Sequence[int]) -> list[int]:
