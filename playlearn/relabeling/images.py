@@ -2,13 +2,14 @@
 
 The gripper tells when an object that it held was let go (`robot.py`). It does not tell whether a shut gripper pressed,
 turned or pushed something, so there the images of cameras that stand still decide. A pixel has changed between two
-views if the medians of the five views before and after differ. An arm that passes is in no median; one that stays for
-longer is, but the pixels of a change lie together and change together, and show the same for 0.8 s before it and after
-it. What so changes while the gripper closes on an object, or opens again, or the arm stops with it, is what the gripper
-did; each other change is a settled moment, at the first view that shows it.
+views if the medians of the five views before and after differ. An arm that passes is in no median. One that stays for
+longer is in some, so the pixels of a change have to lie together, change together, and show the same for 0.8 s before
+and after. Left out is what changes when the gripper closes on an object, opens again, or the arm stops with it: that is
+what the gripper did. Each other change while a shut gripper is at work is a settled moment: at the moment that the
+robot tells if one is within 0.5 s, else at the first view that shows it. Where the images show none, the robot's count.
 
-Three models of what the arm hides were tried and left out: a decoder of proprioception (1.5 minutes to train), random
-features of it, and none found as much as these medians do. See eval/results/settled.md.
+Models of what the arm hides, learned from proprioception, were tried and left out: they found no more than these
+medians do. See eval/results/settled.md.
 """
 
 from collections.abc import Sequence
