@@ -9,7 +9,7 @@ is taken as settled
 
 Both count only if the arm has moved since the gripper closed or since the last settled moment, until the fingers begin
 to open: a grasp that failed, and a release where the arm had already stopped, change nothing. Nor does a gripper that
-was closed for less than 0.2 s.
+was closed for less than 0.2 s. Where no arm is recorded to move, each such opening counts.
 
 `playlearn bench settled` measures it against the moments read from `achieved`, in two readings. By moments: the
 fraction of the moments found with a true one within 0.5 s, and the other way round. By configurations: a moment found
@@ -182,7 +182,8 @@ class RobotReader:
             loosens = begin + int(narrow[-1]) if end < len(arm) else end  # the last observation before they open
             stops = list(self._stops(arm, resting, begin, loosens))
             came_from, opened = (stops or [begin])[-1], None
-            if end < len(arm) and loosens - begin >= self.held and self._moved(arm[came_from : loosens + 1])[-1]:
+            moved = not np.isfinite(self.moves).any() or self._moved(arm[came_from : loosens + 1])[-1]
+            if end < len(arm) and loosens - begin >= self.held and moved:
                 wide = openings[end:closes]
                 opened = end + int((wide >= wide.max() - self.opens).argmax())
             holds = bool(np.median(openings[begin : max(loosens, begin + 1)]) > self.shut + self.opens)
