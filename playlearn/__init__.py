@@ -9,7 +9,7 @@ neither torch nor a simulator:
     make_goal      what an environment shows, as a goal   make_actor    a policy, the expert or a random policy, to act
     run_rollout    act until the goal is reached          open_store    recorded play
     make_dataset   goal-conditioned examples of a store   load_config   a YAML file with overrides
-    load_suite     start states and goals to evaluate on
+    load_suite     start states and goals to evaluate on  load_goal     a goal from picture files
     collect  train  evaluate  run_dagger  diagnose  compare      the jobs, as their commands do them
     export_lerobot  export_policy                                for LeRobot
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
         export_lerobot,
         export_policy,
         load_config,
+        load_goal,
         load_policy,
         load_suite,
         make_actor,
@@ -51,6 +52,7 @@ __all__ = [
     "export_lerobot",
     "export_policy",
     "load_config",
+    "load_goal",
     "load_policy",
     "load_suite",
     "make_actor",

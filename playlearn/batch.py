@@ -28,6 +28,9 @@ class Inputs:
     keypoints: camera -> (B, T, O, 2) float32, where the camera sees each object of `ObjectLayout.places`, x and y in
         [-1, 1], NaN where unknown. Only in training, and only of scenes that a simulator drew; else empty.
     goal_keypoints: camera -> (B, O, 2) float32, of the goal image.
+    events: name -> (B, S) float32, the robot's own state at an event on the way to the goal, `grasp` or `settled` (see
+        `relabeling.hand`), NaN where it does not lie ahead. Only in training, read from the recording's future; else
+        empty.
     """
 
     state: Tensor
@@ -39,6 +42,7 @@ class Inputs:
     goal_images: Mapping[str, Tensor] = field(default_factory=dict)
     keypoints: Mapping[str, Tensor] = field(default_factory=dict)
     goal_keypoints: Mapping[str, Tensor] = field(default_factory=dict)
+    events: Mapping[str, Tensor] = field(default_factory=dict)
 
     def __len__(self) -> int:
         """B."""

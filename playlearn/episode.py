@@ -91,6 +91,9 @@ class EpisodeMeta:
     verbatim: `skills` are the recorder's own words, in which nothing is an annotation.
     success: whether its task was achieved; None where that is not known.
     quantities: what the dimensions of `state` and `achieved` measure, and what bounds the actions.
+    unobserved_step: `action` (A,), and `reward` where there are rewards, of a step that others recorded after the last
+        observation. Nobody saw where it led: nothing is learned from it, and it is written back to their format. {} of
+        any other recording.
     """
 
     environment: Mapping[str, Any]
@@ -111,6 +114,7 @@ class EpisodeMeta:
     verbatim: bool = False
     success: bool | None = None
     quantities: Quantities = field(default_factory=Quantities)
+    unobserved_step: Mapping[str, Any] = field(default_factory=dict)
 
     def annotations(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
         """The skill and the marks behind each value of `skill`; one without a name where there are none."""
@@ -162,6 +166,7 @@ class Episode:
         if self.reward is not None:
             _check(REWARD, self.reward, np.float64, steps, None)
         self._check_names()
+        self._check_unobserved()
         for camera, frames in self.images.items():
             _check(IMAGES + camera, frames, np.uint8, steps + 1, None)
             if frames.ndim != 4 or frames.shape[3] != 3:
@@ -187,6 +192,15 @@ class Episode:
             declared = getattr(given, field_name)
             if declared and len(declared) != len(names):
                 raise EpisodeError(f"meta.quantities.{field_name} declares {len(declared)} of {len(names)} numbers")
+
+    def _check_unobserved(self) -> None:
+        """Raises EpisodeError where the step after the last observation is not of the kind of the others."""
+        for key, value in self.meta.unobserved_step.items():
+            recorded = {"action": self.action, REWARD: self.reward}.get(key)
+            if recorded is None or np.shape(value) != recorded.shape[1:] or not np.isfinite(value).all():
+                raise EpisodeError(
+                    f"the {key} of the step after the last observation is no {key} of this episode: {value}"
+                )
 
     def __len__(self) -> int:
         """T, the number of actions."""

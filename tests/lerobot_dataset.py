@@ -98,6 +98,14 @@ def change_info(root: Path, **changed: Any) -> None:
     path.write_text(json.dumps(json.loads(path.read_text()) | changed))
 
 
+def add_column(root: Path, key: str, feature: Mapping[str, Any], values: Sequence[Any]) -> None:
+    """Add a feature, with a value a frame, to a dataset that is there."""
+    info = json.loads((root / "meta" / "info.json").read_text())
+    change_info(root, features={**info["features"], key: feature})
+    table = pq.read_table(root / DATA)
+    pq.write_table(table.append_column(key, pa.array(list(values))), root / DATA)
+
+
 def _write(path: Path, columns: Mapping[str, Any]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     made = {key: value if isinstance(value, pa.Array) else pa.array(list(value)) for key, value in columns.items()}

@@ -48,6 +48,7 @@ def quick_calls(out: Path) -> Mapping[str, Callable[[], object]]:
         "open_store": lambda: len(pl.open_store(SAMPLE)),
         "make_dataset": lambda: len(pl.make_dataset(SAMPLE, overrides={"chunk": 2})),
         "load_config": lambda: pl.load_config("train", overrides={"policy.head.type": "flow"}).policy.head,
+        "load_goal": lambda: refused(UsageError, lambda: pl.load_goal(pl.load_policy(POLICY), {"top": nowhere})),
         "load_suite": lambda: pl.load_suite(SUITE, {"episodes": 3}),
         "collect": lambda: refused(UsageError, lambda: pl.collect(nowhere, out)),
         "train": lambda: refused(

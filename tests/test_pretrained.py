@@ -7,6 +7,7 @@ import pytest
 from playlearn.config import load_config
 from playlearn.evaluation import TrainedRecipe, evaluate
 from playlearn.policies import Policy
+from playlearn.privileges import Privileges
 from playlearn.training import TrainConfig
 from tests.shares import often
 
@@ -25,6 +26,13 @@ def test_a_shipped_policy_is_small_and_what_its_config_says(run: Path) -> None:
     assert {file.suffix for file in held} <= {".yaml", ".json", ".safetensors"}
     policy = Policy.load(run / "policy")
     assert load_config(TrainConfig, run / "config.yaml").policy == policy.config
+
+
+@pytest.mark.parametrize("run", SHIPPED, ids=lambda run: run.name)
+def test_a_shipped_policy_says_what_privileged_information_it_used(run: Path) -> None:
+    policy, used = Policy.load(run / "policy"), Privileges.of_run(run)
+    assert "unknown" not in str(used)
+    assert used.goal == (("object poses",) if policy.config.encoder.goals == ("state",) else ())
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ What a YAML file says a verb takes as that file, as the config itself, or as a f
 Paths may be text. Every mistake is a `playlearn.errors.PlaylearnError` whose message says what to do.
 """
 
-from playlearn.api.acting import load_policy, make_actor, make_env, make_goal, run_rollout
+from playlearn.api.acting import load_goal, load_policy, make_actor, make_env, make_goal, run_rollout
 from playlearn.api.configs import load_config, load_suite
 from playlearn.api.jobs import compare, diagnose, evaluate, export_policy, run_dagger, train
 from playlearn.api.play import collect, export_lerobot, make_dataset, open_store
@@ -22,6 +22,7 @@ __all__ = [
     "export_lerobot",
     "export_policy",
     "load_config",
+    "load_goal",
     "load_policy",
     "load_suite",
     "make_actor",

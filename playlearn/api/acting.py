@@ -85,6 +85,31 @@ def make_goal(env: "Environment", cameras: Sequence[str] | None = None) -> "Goal
     return goal_from(env, env.spec.cameras if cameras is None else cameras)
 
 
+def load_goal(policy: "Policy", pictures: Mapping[str, Where], *, keep_aspect: bool = True) -> "Goal":
+    """A goal from picture files (PNG, JPEG), a camera's each, scaled to what the policy sees.
+
+    pictures: camera -> file. Take it with the camera that the play was recorded with, from the same place.
+    keep_aspect: whether a picture of another shape is refused; else it is squeezed, as the images of the play were.
+
+    Raises:
+        UsageError: the policy reads no goal images, a camera is missing or another one, or a file is no color picture
+            of at least that size and of that shape.
+    """
+    import numpy as np
+
+    from playlearn.episode import Goal
+    from playlearn.errors import UsageError
+    from playlearn.picture import read_picture
+
+    wanted = policy.config.encoder.goal_cameras
+    if set(pictures) != set(wanted):
+        reads = f"reads goal images of {', '.join(wanted)}" if wanted else "reads no goal images"
+        raise UsageError(f"the policy {reads}, and pictures are given of {', '.join(pictures) or 'none'}")
+    sizes = policy.spec.cameras
+    images = {camera: read_picture(Path(pictures[camera]), sizes[camera], keep_aspect=keep_aspect) for camera in wanted}
+    return Goal(np.zeros(len(policy.spec.achieved_names), np.float32), images)
+
+
 def run_rollout(
     env: "Environment",
     actor: "Actor",

@@ -12,11 +12,14 @@ if TYPE_CHECKING:
     from playlearn.store import Store, StoreConfig
 
 
-def open_store(where: "Where | StoreConfig") -> "Store":
-    """The store in a folder, of whatever kind (native, LeRobot); raises StoreError where there is none."""
+def open_store(where: "Where | StoreConfig", *, blind: bool = False) -> "Store":
+    """The store in a folder, of whatever kind (native, LeRobot); raises StoreError where there is none.
+
+    blind: as a robot would have recorded it, without object poses, simulator states, skills and clean labels.
+    """
     from playlearn.store import open_store as run
 
-    return run(where)
+    return run(where, blind=blind)
 
 
 def make_dataset(

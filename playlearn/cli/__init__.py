@@ -21,22 +21,24 @@ DEBUG = "PLAYLEARN_DEBUG"
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; a mistake ends in one message on stderr, not a traceback."""
-    try:
-        arguments = parse(argv)
-    except SystemExit as stop:  # argparse has said why
-        return int(stop.code or 0)
-    limit()  # before anything numerical is imported
+    kept = ""
     try:
         with _termination_as_interrupt(), whole_output():
+            try:
+                arguments = parse(argv)
+            except SystemExit as stop:  # argparse has said why, or printed its help
+                return int(stop.code or 0)
+            kept = arguments.kept
+            limit()  # before anything numerical is imported
             code: int = arguments.command(arguments)
             return code
     except KeyboardInterrupt:
-        return _say(f"interrupted{arguments.kept}", INTERRUPTED)
+        return _say(f"interrupted{kept}", INTERRUPTED)
     except BrokenPipeError:  # the reader of our output went away: `playlearn info STORE | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
     except Exception as error:
-        message = _explain(error, arguments.kept)
+        message = _explain(error, kept)
         if message is None:
             raise
         return _say(message, USAGE if isinstance(error, UsageError) else FAILED)

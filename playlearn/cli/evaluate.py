@@ -21,6 +21,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from playlearn.evaluation import evaluate
+    from playlearn.privileges import KEY, Privileges
 
     limit()  # of what that has imported, too
     results = evaluate(
@@ -41,7 +42,8 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         for name, rates in ((results["policy"]["name"], results), *results["references"].items()):
             low, high = rates["ci95"]
-            print(f"{name:<10} {rates['success_rate']:6.1%}  [{low:.1%}, {high:.1%}] of {rates['episodes']} episodes")
+            success = f"{rates['success_rate']:6.1%}  [{low:.1%}, {high:.1%}] of {rates['episodes']} episodes"
+            print(f"{name:<10} {success}; privileged: {Privileges.from_dict(rates[KEY])}")
         print(f"report     {arguments.out / 'report.html'}")
     return DONE
 

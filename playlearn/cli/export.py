@@ -46,9 +46,10 @@ def run(arguments: argparse.Namespace) -> int:
 def _policy(arguments: argparse.Namespace) -> int:
     from playlearn.lerobot.publish import export_policy
 
-    export_policy(arguments.source, arguments.out)
+    inputs = export_policy(arguments.source, arguments.out)
     command = f"lerobot-eval --policy.path={arguments.out} --env.type=playlearn --env.suite=eval/suites/NAME.yaml"
-    print(f"{arguments.out}: a policy for LeRobot; try `{command}`")
+    print(f"{arguments.out}: a policy for LeRobot, which reads {', '.join(inputs)}")
+    print(f"try `{command}`, or an environment of your own that gives these")
     return DONE
 
 

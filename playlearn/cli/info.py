@@ -11,6 +11,9 @@ from playlearn.cli.verb import DONE, FAILED, Verb, add_json
 
 def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("store", type=Path, metavar="STORE")
+    parser.add_argument(
+        "--without-images", action="store_true", help="of a LeRobot dataset whose videos were not fetched: its numbers"
+    )
     parser.add_argument("--verify", action="store_true", help="read every episode and compare its checksum")
     parser.add_argument(
         "--report",
@@ -23,20 +26,24 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from playlearn.relabeling import RobotConfig
-    from playlearn.store import open_store
+    from playlearn.report.cases import cases
+    from playlearn.store import LeRobotStoreConfig, open_store
 
-    store = open_store(arguments.store)
+    where = arguments.store
+    if arguments.without_images:
+        where = LeRobotStoreConfig(root=where, without_images=True)
+    store = open_store(where)
     facts = store.info()
-    if not store.spec.achieved_names:
-        facts["goals"] = RobotConfig().describe(store.spec.state_names)
+    if len(store):
+        facts["goals"] = cases(store)
     problems = store.verify() if arguments.verify else []
     if arguments.verify:
         facts = {**facts, "problems": problems}
     if arguments.json:
         print(json.dumps(facts, indent=2))
     else:
-        _print_facts({key: value for key, value in facts.items() if key not in ("problems", "remarks")})
+        _print_facts({key: value for key, value in facts.items() if key not in ("problems", "remarks", "goals")})
+        _print_facts(facts.get("goals", {}))
         for name, remark in facts["remarks"].items():
             print(f"{name}: {remark}")
         if arguments.verify and not problems:

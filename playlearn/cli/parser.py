@@ -1,8 +1,9 @@
 """The command line: one file of this folder for each command."""
 
 import argparse
+import sys
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from playlearn import __version__
 from playlearn.cli import (
@@ -80,3 +81,7 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         self.exit(USAGE, f"{self.prog}: {message}\nTry `{self.prog} --help`.\n")
+
+    def print_help(self, file: Any = None) -> None:
+        """As argparse does, but for an error of the disk, which it hides."""
+        print(self.format_help(), end="", file=file or sys.stdout)

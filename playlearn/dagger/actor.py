@@ -8,6 +8,7 @@ import torch
 
 from playlearn.dagger.gate import Gate, GateConfig, GateSignal
 from playlearn.episode import Array, Decision, Goal, Observation
+from playlearn.privileges import LABELED_BY_EXPERT
 from playlearn.rollout import Actor
 
 StdOf = Callable[[int, Sequence[torch.Generator]], Array]
@@ -55,7 +56,7 @@ class _Row:
 class DaggerActor:
     """An Actor that asks policy and expert; what it draws for an environment comes from that environment's seed."""
 
-    name = "dagger"
+    name = LABELED_BY_EXPERT
 
     def __init__(self, policy: Actor, expert: Actor, rule: InterventionRule, std: StdOf | None = None) -> None:
         """std: see `PolicyActor.std`; needed by gates that measure how uncertain the policy is."""

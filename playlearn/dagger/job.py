@@ -139,6 +139,11 @@ class _Job:
         open_store(self.training.store)
         policy = self.trained(self.run)
         policy.check()
+        if not policy.policy().spec.achieved_names:
+            raise UsageError(
+                f"{self.run} learned from play without object poses (`blind`, or a robot's), and the expert that "
+                "labels rollouts reads them: this run cannot be improved by DAgger"
+            )
         environment = cached_env(self.suite.environment)
         actor = dagger_actor(self.rollout_spec(1, self.run), environment)
         policy.build(cached_env(self.eval_suite.environment))
@@ -284,6 +289,7 @@ class _Job:
         last = self.out / "rounds" / str(rows[-1]["round"]) / "train"
         Policy.load(last / "policy").save(self.out / "policy")
         copy_config(last / "config.yaml", self.out / "config.yaml")
+        atomic_write(self.out / "run.json", (last / "run.json").read_bytes())
         results = {
             "rounds": rows,
             "start": str(self.run),

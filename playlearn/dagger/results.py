@@ -5,11 +5,12 @@ from pathlib import Path
 from typing import Any
 
 from playlearn.dagger.rollouts import RolloutRecord
+from playlearn.privileges import KEY as PRIVILEGED
 from playlearn.report.compared import AMBER, BLUE, GRAY
 from playlearn.report.figure import save_figure
 
 Row = Mapping[str, Any]
-_EVALUATION = ("success_rate", "ci95", "strict_rate", "strict_ci95", "episodes", "crashed")
+_EVALUATION = ("success_rate", "ci95", "strict_rate", "strict_ci95", "episodes", "crashed", PRIVILEGED)
 
 
 def evaluated(results: Mapping[str, Any]) -> dict[str, Any]:

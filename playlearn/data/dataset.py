@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from typing import Literal
 
@@ -19,13 +20,17 @@ from playlearn.errors import StoreError, UsageError
 from playlearn.layout import ObjectLayout
 from playlearn.quantity import difference
 from playlearn.relabeling import (
+    EVENTS,
     UNIFORMS,
     GoalSamplerConfig,
     RelabelIndex,
     SettledConfig,
     SettlingConfig,
     counter_uniforms,
+    events_ahead,
+    grasps,
     leads_to_failure,
+    robot_reader,
 )
 from playlearn.store import Store
 
@@ -43,6 +48,8 @@ class DataConfig:
     chunk: actions that a policy predicts (H). A run takes it from the policy.
     cameras: whose images an observation holds. A run takes them from the policy's encoder.
     goal_cameras: whose images a goal holds. A run takes them from the policy's encoder.
+    events: whether examples hold the robot's own state at events ahead (see `relabeling.hand`). A run takes it from the
+        policy's encoder.
     val_fraction: fraction of the episodes that is held out and never trained on; above 0, an import's own validation
         split counts instead where there is one.
     mask_after_goal: whether labels past the goal are masked.
@@ -66,6 +73,7 @@ class DataConfig:
     chunk: int = 8
     cameras: tuple[str, ...] = ()
     goal_cameras: tuple[str, ...] = ()
+    events: bool = False
     val_fraction: float = 0.05
     mask_after_goal: bool = False
     balance: float = 0.0
@@ -97,9 +105,16 @@ class PlayDataset(Examples):
         out = val_mask(store, config.val_fraction)
         self.episodes: Indices = np.flatnonzero(out if split == "val" else ~out)  # (N,) positions in the store
         if len(self.episodes) == 0:
-            raise StoreError(f"{store.name()} has no {split} episodes among its {len(store)}: collect more play")
+            raise StoreError(
+                f"{store.name()} has no {split} episodes among its {len(store)}: collect more play, or hold none out "
+                "(`data.val_fraction: 0`)"
+            )
         self.store, self.config, self.seed = store, config, seed
-        _check_finite(store, self.episodes)
+        read = partial(_read, store, self.episodes)
+        self.achieved = np.concatenate(read("achieved", store.spec.achieved_names))  # (sum T+1, G)
+        self.state = np.concatenate(read("observation.state", store.spec.state_names))
+        self.action = np.concatenate(read("expert_action", store.spec.action_names))  # (sum T, A)
+        executed = read("action", store.spec.action_names)
         train = np.flatnonzero(~out).tolist()  # thresholds are measured on it for both splits, so that they agree
         self.table = RelabelIndex.of_store(store, config.settling, config.goal_names, self.episodes.tolist(), train)
         if config.target == "next_settled_delta" and len(self.table.change) == 0:
@@ -108,10 +123,8 @@ class PlayDataset(Examples):
                 "there is no change to learn; leave target at actions"
             )
         self._goal_dimensions = ObjectLayout(store.spec.achieved_names).select(config.goal_names)
-        self.achieved = np.concatenate([store.array(int(i), "achieved") for i in self.episodes])  # (sum T+1, G)
-        self.state = np.concatenate([store.array(int(i), "observation.state") for i in self.episodes])
-        self.action = np.concatenate([store.array(int(i), "expert_action") for i in self.episodes])  # (sum T, A)
-        self._last = self._last_of_chunk([store.array(int(i), "action") for i in self.episodes])
+        self._last = self._last_of_chunk(executed)
+        self._closed = self._grasps(train) if config.events else None
         self._sampler = config.goals.build()
         lengths = self.table.lengths
         episode = np.repeat(np.arange(len(lengths)), lengths)
@@ -121,8 +134,8 @@ class PlayDataset(Examples):
             usable &= self.table.following(episode, t) < self.table.offsets[episode + 1]
         if not usable.any():
             raise StoreError(
-                f"{store.name()}: no {split} step has a goal to draw ({len(lengths)} episodes, {len(t)} steps); "
-                "collect longer episodes, or choose other `goals` or thresholds in `settling`"
+                f"{store.name()}: no {split} step has a goal to draw ({len(lengths)} episodes, {len(t)} steps, "
+                f"{len(self.table.moments)} settled moments); {self._without_goals()}"
             )
         self._episode, self._t = episode[usable], t[usable]  # (n,), (n,)
         self._cumulative = self._weights() if config.balance else None
@@ -190,7 +203,37 @@ class PlayDataset(Examples):
             action=torch.from_numpy(action),
             action_mask=torch.from_numpy(counts),
             steps_to_goal=torch.from_numpy(np.where(leads, goal - t, 0)),
+            events={} if self._closed is None else self._events(self._closed, episode, t),
         )
+
+    def segments(self, episode: int) -> list[tuple[int, int, int]]:
+        """(settled moment, last observation of its configuration, grasp or -1) of the episode at this place.
+
+        Needs `DataConfig.events`.
+        """
+        own = slice(self.table.offsets[episode], self.table.offsets[episode + 1])
+        closed = np.full(len(self.table.moments), -1) if self._closed is None else self._closed
+        parts = (self.table.moments[own], self.table.ends[own], closed[own])
+        return list(zip(*(part.tolist() for part in parts), strict=True))
+
+    def _grasps(self, learned: Sequence[int]) -> Indices:
+        """(M,) of `relabeling.grasps`. learned: the episodes on which thresholds are measured."""
+        reader = robot_reader(self.store, self.config.settling, learned)
+        return grasps(self.table, reader, [self.store.array(int(i), "observation.state") for i in self.episodes])
+
+    def _events(self, closed: Indices, episode: Indices, t: Indices) -> dict[str, torch.Tensor]:
+        """Event -> (B, S) float32, NaN where it does not lie ahead."""
+        ahead = events_ahead(self.table, closed, episode, t)  # (B, E)
+        rows = self.table.rows[episode][:, None] + np.maximum(ahead, 0)
+        states = np.where((ahead >= 0)[..., None], self.state.take(rows, axis=0), np.float32(np.nan))
+        return {name: torch.from_numpy(states[:, k]) for k, name in enumerate(EVENTS)}
+
+    def _without_goals(self) -> str:
+        """What to do where there is no goal to draw."""
+        if self.config.goals.reads_moments and not len(self.table.moments) and not len(self.table.change):
+            read = self.config.settling.robot.describe(self.store.spec.state_names)
+            return f"{read}; or take any later moment as goal: `--data.goals.type future`"
+        return "collect longer episodes, or choose other `goals` or thresholds in `settling`"
 
     def _frames(self, camera: str, episode: Indices, rows: Indices) -> torch.Tensor:
         """(B, k, h, w, 3) uint8 of observations rows (B, k)."""
@@ -254,18 +297,12 @@ class PlayDataset(Examples):
         return np.asarray(np.cumsum(weights / weights.sum()), np.float64)
 
 
-def _check_finite(store: Store, episodes: Indices) -> None:
-    """Raises StoreError where a number that is learned from is not finite; names episode, array, row and dimension."""
-    names = {
-        "observation.state": store.spec.state_names,
-        "achieved": store.spec.achieved_names,
-        "action": store.spec.action_names,
-        "expert_action": store.spec.action_names,
-    }
-    numbers = store.indices()
-    for i in episodes.tolist():
-        for key, own in names.items():
-            check_finite(store.array(i, key), own, f"{store.name()}, episode {numbers[i]}, {key}")
+def _read(store: Store, episodes: Indices, key: str, names: Sequence[str]) -> list[Array]:
+    """An array (n, D) of each episode; raises StoreError that names the first number that is not finite."""
+    numbers, found = store.indices(), [store.array(int(i), key) for i in episodes]
+    for i, one in zip(episodes.tolist(), found, strict=True):
+        check_finite(one, names, f"{store.name()}, episode {numbers[i]}, {key}")
+    return found
 
 
 def _check(config: DataConfig, split: str) -> None:

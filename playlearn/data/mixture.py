@@ -36,10 +36,13 @@ class DatasetSource:
             raise UsageError(f"fraction must lie between 0 and 1, both excluded, got {self.fraction:g}")
 
 
-def build_sources(own: PlayDataset, sources: Sequence[DatasetSource], seed: int) -> list[tuple[PlayDataset, float]]:
+def build_sources(
+    own: PlayDataset, sources: Sequence[DatasetSource], seed: int, *, blind: bool = False
+) -> list[tuple[PlayDataset, float]]:
     """The training split of each further store, with its fraction of all examples.
 
     own: the run's own play; its config is that of a source without one.
+    blind: see `open_store`; as the run's own play was opened.
 
     Raises:
         UsageError: the fractions leave nothing to `own`; a store's numbers or images mean something else.
@@ -47,7 +50,7 @@ def build_sources(own: PlayDataset, sources: Sequence[DatasetSource], seed: int)
     """
     built = []
     for number, source in enumerate(sources, 1):
-        store = open_store(source.store)
+        store = open_store(source.store, blind=blind)
         _check_same(own, store)
         built.append(((source.data or own.config).build(store, "train", seed + number), source.fraction))
     _check_fractions([source.fraction for source in sources])

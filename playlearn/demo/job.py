@@ -26,6 +26,8 @@ from playlearn.demo.reference import Reference, measure
 from playlearn.errors import PlaylearnError
 from playlearn.evaluation import join_runs
 from playlearn.executor import available_cores
+from playlearn.privileges import KEY as PRIVILEGED
+from playlearn.privileges import Privileges
 from playlearn.training import TrainConfig
 
 RECORD = "demo.json"
@@ -235,8 +237,8 @@ class _Demo:
         low, high = results["ci95"]
         self.say(
             f"success on goal images: {results['success_rate']:.1%} [{low:.1%}, {high:.1%}] of {results['episodes']}\n"
-            "privileged information in training: scenes rendered with their true states, and a scripted expert that "
-            "labels rollouts; the policy itself sees images and the robot's state\n"
+            f"privileged information: {Privileges.from_dict(results.get(PRIVILEGED))}; the policy itself sees images "
+            "and the robot's state\n"
             f"the report: {self.out / 'eval' / 'report.html'}"
         )
 

@@ -30,7 +30,7 @@ def action_errors(run: Path) -> dict[str, Any]:
     if not raw:
         return missing
     try:
-        store = open_store(parse_store(raw["store"]))
+        store = open_store(parse_store(raw["store"]), blind=bool(raw.get("blind")))
     except StoreError:
         return missing
     data = from_dict(DataConfig, raw["data"])

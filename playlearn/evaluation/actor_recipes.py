@@ -5,7 +5,7 @@ A recipe is sent to a worker process and builds its actor there.
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -16,6 +16,8 @@ from playlearn.evaluation.suite import SuiteConfig
 from playlearn.policies import Policy
 from playlearn.policies.execution import PolicyActor
 from playlearn.policies.hierarchical import SubgoalActor
+from playlearn.privileges import KEY as PRIVILEGED
+from playlearn.privileges import SIMULATOR, Privileges
 from playlearn.rollout import Actor, RandomActor
 from playlearn.sim.environment import Environment
 
@@ -39,6 +41,10 @@ class ActorRecipe(Protocol):
 
     def describe(self) -> dict[str, Any]:
         """For results.json."""
+        ...
+
+    def privileges(self) -> Privileges:
+        """What privileged information it comes by."""
         ...
 
 
@@ -66,6 +72,9 @@ class ExpertRecipe:
     def describe(self) -> dict[str, Any]:
         return {"type": self.name}
 
+    def privileges(self) -> Privileges:
+        return Privileges(training=(SIMULATOR,))
+
 
 @dataclass(frozen=True)
 class RandomRecipe:
@@ -81,6 +90,9 @@ class RandomRecipe:
 
     def describe(self) -> dict[str, Any]:
         return {"type": self.name}
+
+    def privileges(self) -> Privileges:
+        return Privileges()
 
 
 @dataclass(frozen=True)
@@ -155,6 +167,12 @@ class TrainedRecipe:
             "config": to_dict(policy.config),
         }
 
+    def privileges(self) -> Privileges:
+        """As the runs recorded it; a goal image holds no poses, whatever a state would."""
+        used = Privileges.of_run(self.run)
+        used |= Privileges() if self.encoder is None else Privileges.of_run(self.encoder)
+        return used if self.goal == "state" else replace(used, goal=())
+
     def _n_action_steps(self, policy: Policy) -> int:
         return max(1, policy.config.chunk // 2) if self.n_action_steps is None else self.n_action_steps
 
@@ -203,6 +221,11 @@ class HierarchicalRecipe:
     def describe(self) -> dict[str, Any]:
         return {**self.low_level.describe(), "subgoals": self.high_level.describe(), "subgoal_seconds": self.seconds}
 
+    def privileges(self) -> Privileges:
+        """Subgoals are the high-level policy's own; the goal is what that one is shown."""
+        high = self.high_level.privileges()
+        return replace(self.low_level.privileges() | high, goal=high.goal)
+
 
 def trained(
     run: Path, goal: str, suite: SuiteConfig, encoder: Path | None = None
@@ -235,7 +258,10 @@ def join_runs(run: Path, encoder: Path, out: Path) -> None:
         if (encoder / "config.yaml").is_file():
             copy_config(encoder / "config.yaml", out / "config.yaml")
         if (encoder / "run.json").is_file():
-            atomic_write(out / "run.json", (encoder / "run.json").read_bytes())
+            record = json.loads((encoder / "run.json").read_text(encoding="utf-8"))
+            own = Privileges.of_run(encoder)
+            used = replace(Privileges.of_run(run) | own, goal=own.goal)
+            atomic_write(out / "run.json", json.dumps({**record, PRIVILEGED: used.to_dict()}, indent=2).encode())
 
 
 @cache

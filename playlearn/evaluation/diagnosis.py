@@ -29,6 +29,8 @@ from playlearn.evaluation.results import last_goals, summary
 from playlearn.evaluation.suite import SuiteConfig, prepared_suite
 from playlearn.evaluation.worker import EpisodeResult, Trajectory, env_of, lost, run_batch
 from playlearn.executor import Executor, Job, LocalExecutorConfig, LostError
+from playlearn.privileges import KEY as PRIVILEGED
+from playlearn.privileges import Privileges
 from playlearn.report.diagnosis import diagnosis_page, strip
 from playlearn.report.intervals import wilson
 from playlearn.report.progress import Progress
@@ -97,6 +99,7 @@ def diagnose(
             "run": str(run),
             "goal_modality": goal,
             **summary(policy_rows),
+            PRIVILEGED: policy_recipe.privileges().to_dict(),
             "expert": summary(expert_rows),
             "failure_modes": _failure_modes(failed, diagnosed.reports, len(last_goals(policy_rows))),
             "by_expert_seconds": _by_expert_seconds(policy_rows, expert_rows, diagnosed.fps),
@@ -120,6 +123,7 @@ def format_summary(results: Row) -> str:
     expert = f"the expert {results['expert']['success_rate']:.1%}"
     lines = [
         f"{results['suite']}: {results['success_rate']:.1%} [{low:.1%}, {high:.1%}] of {results['episodes']}; {expert}",
+        f"privileged information: {Privileges.from_dict(results[PRIVILEGED])}",
         f"{'failures':<30} {'fraction':>6} {'still at the end':>17}  mostly in",
     ]
     for failure_mode, row in results["failure_modes"].items():

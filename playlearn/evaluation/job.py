@@ -15,6 +15,7 @@ from playlearn.evaluation.results import by_policy, curve, last_goals, parquet, 
 from playlearn.evaluation.suite import SuiteConfig, prepared_suite
 from playlearn.evaluation.worker import EpisodeResult, Trajectory, draw_trajectory, lost, run_batch
 from playlearn.executor import Executor, Job, LocalExecutorConfig, LostError
+from playlearn.privileges import KEY as PRIVILEGED
 from playlearn.report.page import Shown, page
 from playlearn.report.pictures import Pictures
 from playlearn.report.progress import Progress
@@ -98,7 +99,12 @@ def _run(
         "suite": config.name,
         "goal_modality": goal,
         **summary(grouped[main]),
-        "references": {name: summary(grouped[name]) for name in POLICIES if name in grouped},
+        PRIVILEGED: recipes[0].privileges().to_dict(),
+        "references": {
+            recipe.name: {**summary(grouped[recipe.name]), PRIVILEGED: recipe.privileges().to_dict()}
+            for recipe in sorted(recipes, key=lambda recipe: recipe.name)
+            if recipe.name in POLICIES
+        },
         "redraws": sum(row.redraws for row in grouped[main]),
         "seed": config.seed,
         "achieved_names": list(gathered.spec.achieved_names),

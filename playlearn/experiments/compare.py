@@ -34,6 +34,7 @@ from playlearn.errors import NotLearnedError, PlaylearnError, UsageError
 from playlearn.evaluation import evaluate, load_suite
 from playlearn.executor import Job, LocalExecutorConfig
 from playlearn.policies import Policy
+from playlearn.privileges import KEY as PRIVILEGED
 from playlearn.report.compared import plot, table
 from playlearn.report.intervals import wilson
 from playlearn.report.progress import Progress
@@ -198,7 +199,7 @@ def _one(training: TrainConfig, folder: Path, compare: CompareConfig) -> Row:
         )
     metrics = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
     val = [line["val/action_error"] for line in metrics if "val/action_error" in line]
-    kept = ("success_rate", "episodes", "tasks", "crashed", "renderer")
+    kept = ("success_rate", "episodes", "tasks", "crashed", "renderer", PRIVILEGED)
     row = {name: results[name] for name in kept} | {
         "parameters": json.loads((folder / "run.json").read_text())["parameters"],
         "updates": metrics[-1]["step"],
@@ -226,6 +227,7 @@ def _gather(name: str, rows: Sequence[Row], latency: Mapping[str, float]) -> Row
         "episodes": episodes,
         "by_seed": [row["success_rate"] for row in rows],
         "crashed": sum(row["crashed"] for row in rows),
+        PRIVILEGED: rows[0].get(PRIVILEGED),
         "parameters": rows[0]["parameters"],
         "updates": rows[0]["updates"],
         "train_core_seconds": _mean(row["train_core_seconds"] for row in rows),

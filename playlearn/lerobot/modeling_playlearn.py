@@ -30,6 +30,7 @@ from playlearn.quantity import Quantities
 from playlearn.store.lerobot.metadata import DatasetMetadata, load_metadata
 from playlearn.training.divergence import not_finite
 
+SLACK = 0.25  # by which an augmentation may leave [0, 1]
 FRAME = ("episode_index", "frame_index")
 
 
@@ -184,8 +185,8 @@ class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
             history_mask=torch.ones(state.shape[:2], dtype=torch.bool) if padded is None else ~padded,
             goal_achieved=goal,
             goal_proprio=proprio[:, -1],
-            images={c: _over_time(_to_uint8(batch[IMAGES + c]), 3) for c in encoder.observation_cameras},
-            goal_images={c: _over_time(_to_uint8(batch[GOAL_IMAGES + c]), 3)[:, -1] for c in given},
+            images={c: _over_time(_to_uint8(batch, IMAGES + c), 3) for c in encoder.observation_cameras},
+            goal_images={c: _over_time(_to_uint8(batch, GOAL_IMAGES + c), 3)[:, -1] for c in given},
         )
 
 
@@ -241,7 +242,16 @@ def _over_time(value: Tensor, dims: int) -> Tensor:
     return value if value.ndim == 2 + dims else value.unsqueeze(1)
 
 
-def _to_uint8(images: Tensor) -> Tensor:
+def _to_uint8(batch: Mapping[str, Tensor], key: str) -> Tensor:
+    """Images (..., 3, h, w) as (..., h, w, 3) uint8; raises UsageError where they are neither that nor in [0, 1]."""
+    images = batch[key]
+    if images.dtype != torch.uint8 and images.numel():
+        low, high = float(images.min()), float(images.max())
+        if not -SLACK <= low <= high <= 1 + SLACK:
+            raise UsageError(
+                f"{key} is between {low:.3g} and {high:.3g}: give numbers from 0 to 1, or uint8, neither normalized "
+                "nor scaled to 255"
+            )
     values = images if images.dtype == torch.uint8 else (images * 255).round().clamp(0, 255).to(torch.uint8)
     return values.movedim(-3, -1)
 

@@ -11,6 +11,7 @@ from torch import Tensor
 from playlearn.batch import Inputs
 from playlearn.episode import Array, Decision, Goal, Observation
 from playlearn.errors import UsageError
+from playlearn.picture import check_picture
 from playlearn.policies.policy import Policy
 from playlearn.quantity import Bounds, within
 
@@ -109,12 +110,15 @@ class PolicyActor:
         """Begin K episodes; forgets the ones before.
 
         Raises:
-            UsageError: a goal is missing, or lacks the image or the robot's state that the policy reads.
+            UsageError: a goal is missing, lacks the image or the robot's state that the policy reads, or its image is
+                of another size or kind.
         """
         for goal in goals:
             for camera in self._goal_cameras:
                 if goal is None or camera not in goal.images:
                     raise UsageError(f"{self.name} reads its goal from a {camera!r} image, and there is none")
+                size = self.policy.spec.cameras[camera]
+                check_picture(goal.images[camera], size, f"the goal image of {camera!r} for {self.name}")
             if goal is None:
                 raise UsageError(f"{self.name} needs a goal")
             if goal.state is None and self.policy.config.encoder.uses_goal_proprio:

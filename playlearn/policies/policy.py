@@ -181,7 +181,7 @@ class Policy(nn.Module):
 
         updates: made so far, for what warms up (None: after every warm-up).
         """
-        config, normal = self.config, self._normalized(batch)
+        config, normal = self.config, self.normalized(batch)
         if not self.acting_learns:
             # the head's loss has no gradient that any trained parameter receives: only auxiliary losses are computed
             normal = _with_keypoints(normal, batch)
@@ -205,7 +205,7 @@ class Policy(nn.Module):
 
     def loss(self, batch: Batch, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
         """The same without dropout and augmentation: the validation loss."""
-        normal = self._normalized(batch)
+        normal = self.normalized(batch)
         if not self.acting_learns:
             normal = _with_keypoints(normal, batch)
             return _summed(self.encoder.auxiliary(self.encoder.perceive(normal), normal))
@@ -223,7 +223,7 @@ class Policy(nn.Module):
         guidance: weight of the goal, None for the plain prediction (a weight of 1).
         mode: the head's mode rather than a sample.
         """
-        normal = self._normalized(inputs)
+        normal = self.normalized(inputs)
         batch, weight = len(normal.state), 1.0 if guidance is None else guidance
         keep = torch.full((batch,), weight != 0, device=self.device)
         features = self._features(normal, keep, None)[0]
@@ -249,7 +249,7 @@ class Policy(nn.Module):
         if not self.config.encoder.observation_cameras:
             return inputs.achieved[:, -1].float().cpu()
         keep = torch.zeros(len(inputs.state), dtype=torch.bool, device=self.device)
-        observed = self.encoder(self._normalized(inputs), keep, None).observed
+        observed = self.encoder(self.normalized(inputs), keep, None).observed
         if observed is None:
             raise UsageError(_NO_ESTIMATES)
         return self.normalizer.restore("achieved", observed[:, -1]).float().cpu()
@@ -261,7 +261,7 @@ class Policy(nn.Module):
         Raises:
             UsageError: it does not estimate both from images (see `encoder.state_supervision`).
         """
-        tokens = self.encoder.perceive(self._normalized(inputs))
+        tokens = self.encoder.perceive(self.normalized(inputs))
         if tokens.observed is None or tokens.wanted is None or "image" not in self.config.encoder.goals:
             raise UsageError(_NO_ESTIMATES)
         restore = self.normalizer.restore
@@ -354,11 +354,14 @@ class Policy(nn.Module):
             mask = torch.cat([steps.new_ones(len(steps), self.encoder.goal_tokens), steps], dim=1)
         return self.trunk(tokens, mask), self.encoder.auxiliary(encoded, inputs)
 
-    def _normalized(self, inputs: Inputs) -> Inputs:
-        """On this policy's device, normalized, only the cameras it reads."""
+    def normalized(self, inputs: Inputs) -> Inputs:
+        """On this policy's device, normalized, only what it knows: its cameras, and no `achieved` where it has none."""
         encoder, device, together = self.config.encoder, self.device, self.normalizer.together
-        state, goal_proprio = together("state", inputs.state.to(device), inputs.goal_proprio.to(device))
-        achieved, goal_achieved = together("achieved", inputs.achieved.to(device), inputs.goal_achieved.to(device))
+        raw, known = inputs.state.to(device), slice(len(self.spec.achieved_names))
+        state, goal_proprio = together("state", raw, inputs.goal_proprio.to(device))
+        objects = inputs.achieved[..., known].to(device), inputs.goal_achieved[..., known].to(device)
+        achieved, goal_achieved = together("achieved", *objects)
+        events = {name: together("state", raw, pose.to(device))[1] for name, pose in inputs.events.items()}
         return Inputs(
             state=state,
             achieved=achieved,
@@ -371,6 +374,7 @@ class Policy(nn.Module):
                 for camera in encoder.goal_cameras
                 if camera in inputs.goal_images
             },
+            events=events,
         )
 
 

@@ -67,13 +67,16 @@ class PolicySpec:
     def check(self, other: Named, cameras: Mapping[str, tuple[int, int]], needed: tuple[str, ...]) -> None:
         """Refuse an environment whose dimensions mean something else.
 
+        What a policy that knows no `achieved` is shown of it is left out, so it may have any.
+
         needed: the cameras the policy reads; only these are compared.
 
         Raises:
             CheckpointError: names, fps or a needed camera differ; the message says which.
         """
+        known = ("achieved_names",) if self.achieved_names else ()
         acting = ("action_names",) if self.predicts == "actions" else ()
-        for what in ("state_names", "achieved_names", *acting):
+        for what in ("state_names", *known, *acting):
             mine, theirs = tuple(getattr(self, what)), tuple(getattr(other, what))
             if mine != theirs:
                 raise CheckpointError(_difference(what.removesuffix("_names"), mine, theirs))
@@ -100,7 +103,7 @@ def goal_dimensions(achieved_names: Sequence[str], patterns: Sequence[str], wher
     chosen = ObjectLayout(achieved_names).select(patterns)
     if chosen:
         return chosen
-    robot = "let it be the robot's own pose (`policy.encoder.goal_proprio: true`, of `type: state`)"
+    robot = "let it be the robot's own pose (`policy.encoder.goal_proprio: true`; see configs/train/lerobot.yaml)"
     if achieved_names:
         raise UsageError(
             f"encoder.goal_names is {list(patterns)}: the policy is left without a goal; name some of "
@@ -108,7 +111,8 @@ def goal_dimensions(achieved_names: Sequence[str], patterns: Sequence[str], wher
         )
     raise UsageError(
         "encoder: a goal that is a state needs `achieved` (objects; LeRobot's `observation.environment_state`), and "
-        f"{where} records none: the policy is left without a goal; {robot}, or read goal images (`type: cnn`)"
+        f"{where} records none: the policy is left without a goal; {robot}, or read goal images (`type: cnn`; see "
+        "configs/train/lerobot_image.yaml)"
     )
 
 

@@ -8,8 +8,9 @@ from playlearn.relabeling.final import FinalConfig
 from playlearn.relabeling.final_settled import FinalSettledConfig
 from playlearn.relabeling.fixed import FixedConfig
 from playlearn.relabeling.geometric import GeometricConfig
+from playlearn.relabeling.hand import EVENTS, events_ahead, grasps
 from playlearn.relabeling.images import ImagesConfig
-from playlearn.relabeling.index import RelabelIndex
+from playlearn.relabeling.index import RelabelIndex, robot_reader
 from playlearn.relabeling.mixture import MixtureConfig, WeightedSampler
 from playlearn.relabeling.random import RandomConfig
 from playlearn.relabeling.robot import RobotConfig
@@ -18,6 +19,7 @@ from playlearn.relabeling.settling import SettlingConfig
 from playlearn.relabeling.uniform import FutureConfig, UniformConfig
 
 __all__ = [
+    "EVENTS",
     "UNIFORMS",
     "EpisodeConfig",
     "FinalConfig",
@@ -37,5 +39,8 @@ __all__ = [
     "UniformConfig",
     "WeightedSampler",
     "counter_uniforms",
+    "events_ahead",
+    "grasps",
     "leads_to_failure",
+    "robot_reader",
 ]

@@ -36,6 +36,11 @@ class GoalSampler(Protocol):
 class GoalSamplerConfig(draccus.ChoiceRegistry):
     """The base of every sampler's config; `type:` in a YAML picks the kind."""
 
+    @property
+    def reads_moments(self) -> bool:
+        """Whether a goal depends on the settled moments."""
+        return False
+
     def build(self) -> GoalSampler:
         raise NotImplementedError
 

@@ -18,6 +18,10 @@ class FinalSettledConfig(GoalSamplerConfig):
     For episodes that end on purpose, as DAgger's do.
     """
 
+    @property
+    def reads_moments(self) -> bool:
+        return True
+
     def build(self) -> GoalSampler:
         return FinalSettled()
 

@@ -148,9 +148,7 @@ class RelabelIndex:
 
         chosen = ObjectLayout(spec.achieved_names).select(goal_names)
         if settling.source != "achieved" or not chosen:
-            declared = spec.quantities.of("state", len(spec.state_names))
-            known = list(rows(learned, STATE))
-            reader = RobotReader.measured(known, spec.state_names, declared, spec.fps, settling.robot)
+            reader = robot_reader(store, settling, learned)
             states = list(rows(episodes, STATE))
             lengths = [len(state) - 1 for state in states]
             if settling.source != "images":
@@ -242,6 +240,14 @@ class RelabelIndex:
 
     def _next(self, episode: int) -> Indices:
         return self.next_moment[self.starts[episode] : self.starts[episode + 1]]
+
+
+def robot_reader(store: Recordings, settling: SettlingConfig, learned: Sequence[int]) -> RobotReader:
+    """What reads gripper and arm, with thresholds measured on the given episodes."""
+    spec = store.spec
+    declared = spec.quantities.of("state", len(spec.state_names))
+    states = [store.array(int(i), STATE) for i in learned]
+    return RobotReader.measured(states, spec.state_names, declared, spec.fps, settling.robot)
 
 
 def _settled(achieved: Array, declared: Sequence[str], change: Array, rest: Array, window: int) -> Moments:

@@ -36,6 +36,10 @@ class MixtureConfig(GoalSamplerConfig):
 
     samplers: list[WeightedSampler] = field(default_factory=_default)
 
+    @property
+    def reads_moments(self) -> bool:
+        return any(sampler.goals.reads_moments for sampler in self.samplers)
+
     def build(self) -> GoalSampler:
         if not self.samplers:
             raise UsageError("mixture.samplers is empty: name at least one strategy")

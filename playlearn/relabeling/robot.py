@@ -69,8 +69,14 @@ class RobotConfig:
                 f"no gripper ({patterns}): every stop of the arm ({arm}) counts as settled, unless {setting} names it"
             )
         others = ", ".join(names[k] for k in grippers[1:])
-        found = f"settled where the gripper ({names[first[0]]}) has opened or, closed, the arm ({arm}) stops"
-        return f"{found}; not by {others}, which {setting} can name instead" if others else found
+        closes = self.gripper_closes or "low, unless the play tells otherwise"
+        found = [
+            f"settled where the gripper ({names[first[0]]}) has opened or, closed, the arm ({arm}) stops",
+            f"it is closed where it reads {closes} (`data.settling.robot.gripper_closes`)",
+        ]
+        if others:
+            found.append(f"one gripper is read, and not {others}: {setting} and `.arm` can name another and its arm")
+        return "; ".join(found)
 
 
 @dataclass(frozen=True)
@@ -189,6 +195,11 @@ class RobotReader:
             holds = bool(np.median(openings[begin : max(loosens, begin + 1)]) > self.shut + self.opens)
             found.append(Grasp(begin, loosens, holds, tuple(stops), opened))
         return found
+
+    def closings(self, state: Array) -> NDArray[np.int64]:
+        """(k,) the observations of (T+1, S) at which the gripper has closed, the first one left out."""
+        closed = self._closed(_openings(state, self.gripper, self.sign))
+        return np.flatnonzero(closed[1:] & ~closed[:-1]) + 1
 
     def ends(self, state: Array, moments: Sequence[int]) -> list[int]:
         """The last observation of each moment's configuration: until the next at the latest."""

@@ -26,6 +26,10 @@ class SettledConfig(GoalSamplerConfig):
     until_next_change: bool = True
     settle_slack: float = 0.0
 
+    @property
+    def reads_moments(self) -> bool:
+        return True
+
     def build(self) -> GoalSampler:
         positive("settled.ahead", self.ahead)
         if self.settle_slack < 0:

@@ -4,18 +4,29 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from playlearn.privileges import KEY, Privileges
 from playlearn.report.figure import save_figure
 
 Row = Mapping[str, Any]
 PERIOD = 50  # ms, of control at 20 Hz
+COLUMNS = (
+    "variant",
+    "success rate",
+    "95 %",
+    "seeds",
+    "privileged information",
+    "parameters",
+    "core seconds of training",
+    "one chunk, ms (p50, p95)",
+)
 BLUE, GRAY, AMBER = "#2a6f97", "#9aa5b1", "#edae49"
 
 
 def table(rows: Sequence[Row]) -> str:
     """Markdown, the best first; success rate with 95 % interval, over all seeds."""
     lines = [
-        "| variant | success rate | 95 % | seeds | parameters | core seconds of training | one chunk, ms (p50, p95) |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
+        f"| {' | '.join(COLUMNS)} |",
+        f"|{' --- |' * len(COLUMNS)}",
     ]
     for row in sorted(rows, key=lambda row: -row["success_rate"]):
         low, high = row["ci95"]
@@ -23,7 +34,8 @@ def table(rows: Sequence[Row]) -> str:
         latency = row["latency_ms"]
         lines.append(
             f"| {row['variant']} | **{100 * row['success_rate']:.0f} %** of {row['episodes']} "
-            f"| {100 * low:.0f} to {100 * high:.0f} | {seeds} | {row['parameters'] / 1e6:.2f} M "
+            f"| {100 * low:.0f} to {100 * high:.0f} | {seeds} | {Privileges.from_dict(row[KEY])} "
+            f"| {row['parameters'] / 1e6:.2f} M "
             f"| {_known(row['train_core_seconds'])} | {latency['p50']:.1f}, {latency['p95']:.1f} |"
         )
     return "\n".join(lines) + "\n"

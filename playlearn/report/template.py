@@ -6,6 +6,8 @@ from importlib import resources
 
 import jinja2
 
+from playlearn.privileges import Privileges
+
 
 def template(name: str) -> jinja2.Template:
     """A template of this folder; values are escaped in HTML."""
@@ -21,7 +23,12 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         loader=jinja2.FunctionLoader(lambda name: files.joinpath(name).read_text("utf-8")),
     )
-    environment.filters |= {"percent": _percent, "width": lambda fraction: f"{100 * fraction:.2f}%", "data": _data_uri}
+    environment.filters |= {
+        "percent": _percent,
+        "width": lambda fraction: f"{100 * fraction:.2f}%",
+        "data": _data_uri,
+        "privileged": lambda written: str(Privileges.from_dict(written)),
+    }
     return environment
 
 

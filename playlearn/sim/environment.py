@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, runtime_checkable
 
 import draccus
 import numpy as np
@@ -128,6 +128,15 @@ class Environment(Protocol):
         ...
 
     def close(self) -> None: ...
+
+
+@runtime_checkable
+class Parkable(Protocol):
+    """An environment that can put its robot elsewhere."""
+
+    def park(self, home: Array) -> None:
+        """Put the robot where it is in another simulator state, and leave all else as it is."""
+        ...
 
 
 class Actor(Protocol):

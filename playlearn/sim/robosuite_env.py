@@ -87,6 +87,8 @@ class RobosuiteEnv:
             rest=self._rest,
             substeps=round(robosuite_env.control_timestep / self.model.opt.timestep),
         )
+        fingers_qpos = np.asarray(robot._ref_gripper_joint_pos_indexes["right"], np.int64)
+        self._robot_qpos = np.concatenate([np.asarray(arm.qpos_index, np.int64), fingers_qpos])
         self._gripper_model = robot.gripper["right"]
         self._gripper_ctrl = np.asarray(robot._ref_joint_gripper_actuator_indexes["right"], np.int64)
         limits = self.model.actuator_ctrlrange[self._gripper_ctrl]
@@ -189,6 +191,15 @@ class RobosuiteEnv:
         mujoco.mj_setState(self.model, self.data, np.ascontiguousarray(sim_state[:size]), _SAVED)
         self._gripper[:] = sim_state[size : size + len(self._gripper)]
         self.extra[:] = sim_state[size + len(self._gripper) :]
+        self._refresh()
+
+    def park(self, home: Array) -> None:
+        """Put the robot where it is in another simulator state, and leave all else as it is."""
+        now = self.sim_state()
+        self.set_state(home)
+        robot = self.data.qpos[self._robot_qpos].copy()
+        self.set_state(now)
+        self.data.qpos[self._robot_qpos] = robot
         self._refresh()
 
     def step(self, action: Array) -> None:

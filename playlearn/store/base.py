@@ -29,6 +29,10 @@ class StoreConfig(draccus.ChoiceRegistry):
         """The config of the store in a folder; None if the folder holds another kind."""
         return None
 
+    def without_objects(self) -> "StoreConfig":
+        """The same, to be read without what it says of objects and success, as far as that can be left out."""
+        return self
+
     def build(self) -> "Store":
         raise NotImplementedError
 

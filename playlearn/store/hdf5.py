@@ -133,7 +133,10 @@ def grouped(remarks: Mapping[str, str]) -> dict[str, str]:
 
 
 # An episode ends with an observation, a demonstration of theirs with an action.
-LAST = {"actions": "left out: the last one of each demonstration and its reward, as no observation follows it"}
+LAST = {
+    "actions": "left out: the last one of a demonstration and its reward, where no observation follows it; "
+    "an export writes them back"
+}
 
 
 def beyond_mask(mask: str | None, chosen: int, total: int) -> dict[str, str]:

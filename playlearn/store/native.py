@@ -288,6 +288,11 @@ def _meta(path: Path) -> tuple[EpisodeMeta, Header]:
 
 def _read_spec(folder: Path) -> StoreSpec:
     path = folder / "store.json"
+    if folder.is_file():
+        raise MissingStoreError(
+            f"{folder} is a file, and a store is a folder: read recordings with `playlearn import "
+            f"robomimic|robosuite|ogbench {folder} OUT`, and then give OUT"
+        )
     if not folder.is_dir():
         raise MissingStoreError(f"there is no store at {folder}: make one with `playlearn collect --out {folder}`")
     if not path.exists():

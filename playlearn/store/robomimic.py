@@ -1,7 +1,7 @@
 """Import of robomimic's HDF5 (Mandlekar et al., 2021, arXiv:2108.03298): low-dimensional or with images.
 
-A demonstration has T actions and the T observations before them. The observation after the last action is missing, so
-an episode has the first T - 1 actions. Dimensions keep robomimic's names (`robot0_eef_pos.x`), but for the objects of
+An episode has all T actions of a demonstration where `next_obs` tells what was observed after the last one, else T - 1
+(see `robomimic_demonstration`). Dimensions keep robomimic's names (`robot0_eef_pos.x`), but for the objects of
 robosuite's own tasks (`cube.x`, see `robosuite_objects`); what depends on the hand is left out of them.
 """
 
@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from playlearn.episode import Array, Episode, EpisodeMeta
+from playlearn.episode import Episode, EpisodeMeta
 from playlearn.errors import StoreError
 from playlearn.quantity import Quantities, subset
 from playlearn.store.base import StoreSpec, plain
 from playlearn.store.hdf5 import (
-    LAST,
     Demonstrations,
     beyond_mask,
     dataset,
@@ -28,15 +27,15 @@ from playlearn.store.hdf5 import (
     json_attribute,
     mask_members,
     masks,
-    numbers_problem,
     open_hdf5,
     unread,
 )
 from playlearn.store.object_dimensions import ObjectDimensions, choose_dimensions, own_dimensions
+from playlearn.store.robomimic_demonstration import RobomimicDemonstration
 from playlearn.store.robomimic_keys import ACHIEVED, IMAGE, choose_keys
 from playlearn.store.robosuite_controller import action_bounds
 from playlearn.store.robosuite_objects import known_order
-from playlearn.store.success import Signals, SuccessRule, follow_convention, how_ended
+from playlearn.store.success import SuccessRule, follow_convention, how_ended
 
 __all__ = ["ACHIEVED", "IMAGE", "STATE", "RobomimicConfig", "RobomimicFile"]
 
@@ -46,7 +45,7 @@ STATE = "robot0_state"  # what `robomimic_export` calls the robot's
 ROBOSUITE = 1  # robomimic's type of an environment
 SPARSE = (1, 3)  # robomimic's types of environments (robosuite, iGibson) that have its convention of rewards
 _PARTS = {"pos": ("x", "y", "z"), "quat": ("qx", "qy", "qz", "qw")}
-_READ = ("actions", "states", "rewards", "dones", "obs", "next_obs")
+_READ = ("actions", "states", "next_states", "rewards", "dones", "obs", "next_obs")
 _LOOKED_AT = 5  # demonstrations in which the order of the objects' numbers is looked for
 
 
@@ -113,16 +112,19 @@ class RobomimicFile(Demonstrations):
             arguments = json_attribute(file["data"], "env_args")
             first = self._first(file)
             self._keys = choose_keys(first["obs"], path, state, achieved, cameras)
-            self._layout = {key: dataset(first, key).shape[1:] for key in self._all()}
+            read = ["actions", *(f"obs/{key}" for key in self._keys.everything())]
+            self._layout = {key: dataset(first, key).shape[1:] for key in read}
             self._problems = {number: problem for number in self._names if (problem := self._problem(file, number))}
-            sound = [demonstration(file["data"], name) for n, name in self._names.items() if n not in self._problems]
+            sound = [self._demonstration(file["data"], n) for n in self._names if n not in self._problems]
             if not sound:
                 raise StoreError("\n".join(self._problems.values()))
             self._objects = self._dimensions(sound, arguments, goal_names)
-            self._sparse = _is_sparse(sound, arguments)
-            self._success = {group.name: self._succeeded(group, rule) for group in sound}
+            sparse = _is_sparse(sound, arguments)
+            self._success = {demo.group.name: self._succeeded(demo, rule, sparse) for demo in sound}
             rest = beyond_mask(mask, len(self._names), len(names)) | unread(file, names, _READ)
             rest |= self._not_everywhere(sound)
+            for demo in sound:
+                rest |= demo.remarks()
         recorded = _own_names(arguments)
         self.spec = StoreSpec(
             environment={"type": f"robomimic:{arguments.get('env_name', 'unknown')}", "env_args": arguments},
@@ -134,7 +136,7 @@ class RobomimicFile(Demonstrations):
             quantities=self._quantities(arguments),
         )
         seen = {f"obs/{key}": why for key, why in self._keys.remarks.items()}
-        self.remarks = grouped({**LAST, **seen, **rest, **self._objects.remarks})
+        self.remarks = grouped({**seen, **rest, **self._objects.remarks})
         keys = {"state": state, "achieved": achieved, "goal_names": goal_names, "cameras": cameras}
         settings = {**keys, "mask": mask, "val_mask": val_mask, "fps": fps, "success": success}
         self.note = plain({"format": "robomimic", "source": path.name, "bytes": path.stat().st_size, **settings})
@@ -155,47 +157,32 @@ class RobomimicFile(Demonstrations):
             "or let robomimic's dataset_states_to_obs.py observe it first"
         )
 
-    def _all(self) -> list[str]:
-        return ["actions", *(f"obs/{key}" for key in self._keys.everything())]
+    def _demonstration(self, data: Any, number: int) -> RobomimicDemonstration:
+        return RobomimicDemonstration(demonstration(data, self._names[number]), self._keys.everything())
 
     def _problem(self, file: Any, number: int) -> str | None:
         """Why a demonstration does not match the first one; None if it does."""
-        name = f"{self._path}: {self._names[number]}"
         try:
-            group = demonstration(file["data"], self._names[number])
-            found = {key: dataset(group, key) for key in self._all()}
-            rows = found["actions"].shape[0] if found["actions"].ndim == 2 else 0
-            if rows < 2:
-                return (
-                    f"{name} has {rows} actions (of shape {found['actions'].shape}), and an episode needs two or more"
-                )
-            shapes = {key: (rows, *self._layout[key]) for key in found}
-            for key in ("rewards", "dones"):
-                if key in group:
-                    found[key] = one = dataset(group, key)
-                    shapes[key] = (rows, 1) if one.ndim == 2 else (rows,)
-            if "states" in group:
-                found["states"] = one = dataset(group, "states")
-                shapes["states"] = (rows, *one.shape[1:2])
+            problem = self._demonstration(file["data"], number).problem(self._layout)
         except StoreError as error:
             return str(error)
-        for key, one in found.items():
-            if problem := numbers_problem(one, shapes[key]):
-                return f"{name}: {key} {problem}"
-        return None
+        return problem and f"{self._path}: {self._names[number]}: {problem}"
 
-    def _not_everywhere(self, groups: Sequence[Any]) -> dict[str, str]:
+    def _not_everywhere(self, demos: Sequence[RobomimicDemonstration]) -> dict[str, str]:
         """Observations that only some demonstrations have, the first one not among them."""
         known = {*self._keys.everything(), *self._keys.remarks}
         return {
             f"obs/{key}": "left out: not every demonstration has it"
-            for group in groups
-            for key in group["obs"]
+            for demo in demos
+            for key in demo.group["obs"]
             if key not in known
         }
 
     def _dimensions(
-        self, groups: Sequence[Any], arguments: Mapping[str, Any], goal_names: tuple[str, ...] | None
+        self,
+        demos: Sequence[RobomimicDemonstration],
+        arguments: Mapping[str, Any],
+        goal_names: tuple[str, ...] | None,
     ) -> ObjectDimensions:
         """What each number about objects is called, and whether goals are about it."""
         names, keys = self._parts(self._keys.achieved), self._keys
@@ -204,32 +191,32 @@ class RobomimicFile(Demonstrations):
             return own_dimensions(recorded, goal_names)
         order = None
         if keys.achieved == (ACHIEVED,):
-            looked = groups[:: max(1, len(groups) // _LOOKED_AT)]
-            hands = [np.concatenate([self._vectors(group, [key]) for group in looked]) for key in keys.hands()]
+            looked = demos[:: max(1, len(demos) // _LOOKED_AT)]
+            hands = [np.concatenate([demo.vectors([key]) for demo in looked]) for key in keys.hands()]
             order = known_order(
                 str(arguments.get("env_name", "")),
                 str(arguments.get("env_version") or ""),
-                [self._vectors(group, keys.achieved) for group in looked],
-                [self._vectors(group, keys.state) for group in looked],
+                [demo.vectors(keys.achieved) for demo in looked],
+                [demo.vectors(keys.state) for demo in looked],
                 [hand for hand in hands if hand.shape[1] == 3],
             )
         return choose_dimensions(
             order,
             names,
-            lambda: [(self._vectors(group, keys.achieved), self._vectors(group, keys.state)) for group in groups],
+            lambda: [(demo.vectors(keys.achieved), demo.vectors(keys.state)) for demo in demos],
             goal_names,
             self._path,
             "--achieved '[]'",
         )
 
-    def _succeeded(self, group: Any, rule: SuccessRule | None) -> bool | None:
+    def _succeeded(self, demo: RobomimicDemonstration, rule: SuccessRule | None, sparse: bool) -> bool | None:
         """Whether a demonstration succeeded; None where that is not known."""
-        own, stated = _signals(group), group.attrs.get("success")
+        own, stated = demo.signals, demo.group.attrs.get("success")
         if rule is not None:
-            return rule(own, f"{self._path}: {group.name}")
+            return rule(own, f"{self._path}: {demo.group.name}")
         if isinstance(stated, np.bool_):  # as `robomimic_export` writes it
             return bool(stated)
-        return bool(own.rewards.any()) if self._sparse and own.rewards is not None else None
+        return bool(own.rewards.any()) if sparse and own.rewards is not None else None
 
     def _parts(self, keys: Sequence[str]) -> tuple[str, ...]:
         names: list[str] = []
@@ -238,12 +225,6 @@ class RobomimicFile(Demonstrations):
             parts = _PARTS.get(key.rpartition("_")[2], ())
             names += [f"{key}.{part}" for part in (parts if len(parts) == width else range(width))]
         return tuple(names)
-
-    def _vectors(self, group: Any, keys: Sequence[str]) -> Array:
-        """(T, n) float32, side by side."""
-        rows = dataset(group, "actions").shape[0]
-        columns = [np.asarray(dataset(group, f"obs/{key}"), np.float32).reshape(rows, -1) for key in keys]
-        return np.concatenate([np.zeros((rows, 0), np.float32), *columns], axis=1)
 
     def _quantities(self, arguments: Mapping[str, Any]) -> Quantities:
         """What robosuite's own keys and controllers say, or `export robomimic` wrote; nothing is known of others."""
@@ -265,9 +246,8 @@ class RobomimicFile(Demonstrations):
         return Quantities(state, subset(achieved, self._objects.kept), bounds)
 
     def _episode(self, group: Any, number: int, name: str) -> Episode:
-        steps, success = dataset(group, "actions").shape[0] - 1, self._success[group.name]
-        action = np.asarray(dataset(group, "actions")[:steps], np.float32)
-        states = np.asarray(dataset(group, "states"), np.float64) if "states" in group else np.zeros((steps + 1, 0))
+        demo, success = RobomimicDemonstration(group, self._keys.everything()), self._success[group.name]
+        action = demo.actions()
         meta = EpisodeMeta(
             environment=self.spec.environment,
             state_names=self.spec.state_names,
@@ -281,29 +261,21 @@ class RobomimicFile(Demonstrations):
             ended=how_ended(success),
             split=("val" if number in self._val else "train") if self._val else "",
             success=success,
+            unobserved_step=demo.unobserved_step(),
         )
         return Episode(
             meta=meta,
-            state=self._vectors(group, self._keys.state),
-            achieved=self._vectors(group, self._keys.achieved)[:, list(self._objects.kept)],
-            sim_state=states.reshape(steps + 1, -1),
-            time=np.arange(steps + 1) / self.spec.fps,
+            state=demo.vectors(self._keys.state),
+            achieved=demo.vectors(self._keys.achieved)[:, list(self._objects.kept)],
+            sim_state=demo.states(),
+            time=np.arange(len(action) + 1) / self.spec.fps,
             action=action,
             expert_action=action.copy(),
-            intervention=np.zeros(steps, np.bool_),
-            skill=np.zeros(steps, np.int16),
-            images={camera: np.asarray(dataset(group, f"obs/{key}")) for camera, key in self._keys.cameras.items()},
-            reward=self._reward(_signals(group).rewards),
+            intervention=np.zeros(len(action), np.bool_),
+            skill=np.zeros(len(action), np.int16),
+            images={camera: demo.moments(f"obs/{key}") for camera, key in self._keys.cameras.items()},
+            reward=demo.rewards(),
         )
-
-    def _reward(self, recorded: Array | None) -> Array | None:
-        """(T-1,) the rewards of the actions that an episode has; a mark of success moves to its new end."""
-        if recorded is None:
-            return None
-        kept = recorded[:-1].copy()
-        if self._sparse:
-            kept[-1] = max(kept[-1], recorded[-1])
-        return kept
 
 
 def _quantity(name: str) -> str:
@@ -314,17 +286,9 @@ def _quantity(name: str) -> str:
     return f"quaternion {owner}" if part in _PARTS["quat"] else ""
 
 
-def _signals(group: Any) -> Signals:
-    rewards, dones = (
-        np.asarray(dataset(group, key), np.float64).reshape(-1) if key in group else None
-        for key in ("rewards", "dones")
-    )
-    return Signals(rewards, dones)
-
-
-def _is_sparse(groups: Sequence[Any], arguments: Mapping[str, Any]) -> bool:
+def _is_sparse(demos: Sequence[RobomimicDemonstration], arguments: Mapping[str, Any]) -> bool:
     """Whether rewards are robomimic's marks of success."""
-    rewards = [own for group in groups if (own := _signals(group).rewards) is not None]
+    rewards = [own for demo in demos if (own := demo.signals.rewards) is not None]
     shaped = bool(_kwargs(arguments).get("reward_shaping"))
     return arguments.get("type") in SPARSE and not shaped and follow_convention(rewards)
 

@@ -1,15 +1,17 @@
 """A store as robomimic's HDF5 (Mandlekar et al., 2021, arXiv:2108.03298), which its own `SequenceDataset` reads.
 
-    data/demo_7/actions   (T, A)   the labels        obs/robot0_state   (T, S)          proprioception
-               /states    (T, N)                     obs/object         (T, G)          achieved: objects and fixtures
-               /rewards   (T,)     as recorded       obs/<camera>_image (T, h, w, 3)
-               /dones     (T,)     1 at the end      next_obs/...       the same, one step later
-                                                     attribute success  whether it succeeded, where that is known
+    data/demo_7/actions      (T, A)   the labels     obs/robot0_state   (T, S)          proprioception
+               /states       (T, N)                  obs/object         (T, G)          achieved: objects and fixtures
+               /next_states  (T, N)                  obs/<camera>_image (T, h, w, 3)
+               /rewards      (T,)     as recorded    next_obs/...       the same, one step later
+               /dones        (T,)     1 at the end   attribute success  whether it succeeded, where that is known
     mask/train, mask/valid                           training and validation split
 
 Without recorded rewards they are 0, and 1 at the end of an episode that succeeded. A demonstration has its episode's
-number. `playlearn import robomimic` drops the last action of each recording, as it reads `obs` only. The names of all
-dimensions are in `env_args`, which robomimic passes on.
+number. States are there where the play has them; `next_states`, which only `playlearn import robomimic` reads, are the
+same, one step later. What was imported without `next_obs` is written without it: each demonstration has its last action
+and reward back (`EpisodeMeta.unobserved_step`), and `obs` has all observations. The names of all dimensions are in
+`env_args`, which robomimic passes on.
 """
 
 import json
@@ -19,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from playlearn.episode import Array, Episode
+from playlearn.episode import Episode
 from playlearn.errors import StoreError
 from playlearn.store.base import Store, plain
 from playlearn.store.hdf5_writer import new_hdf5
@@ -48,17 +50,15 @@ def export_robomimic(
         raise StoreError(f"{out} already exists: remove it, or name another file")
     if not len(store):
         raise StoreError(f"{store.name()} holds no episodes: there is nothing to export")
-    short = [int(i) for i, steps in zip(store.indices(), store.lengths(), strict=True) if steps < 2]
-    if short:
-        raise StoreError(f"{store.name()}: episode {short[0]} has one action only, and a demonstration needs two")
     with new_hdf5(out, lambda path: _check(path, store)) as (file, check_disk):
         data = file.create_group("data")
-        data.attrs["total"] = int(store.lengths().sum())
         data.attrs["env_args"] = json.dumps(_environment(store))
+        total = 0
         for i, number in enumerate(store.indices().tolist()):
-            _write(data.create_group(f"demo_{number}"), store.read(i))
+            total += _write(data.create_group(f"demo_{number}"), store.read(i))
             check_disk()
             progress(i + 1)
+        data.attrs["total"] = total
         for mask, members in masks.items():
             file[f"mask/{mask}"] = np.array([f"demo_{number}" for number in sorted(members)], dtype="S")
 
@@ -79,31 +79,30 @@ def _environment(store: Store) -> dict[str, Any]:
     }
 
 
-def _write(group: Any, episode: Episode) -> None:
-    steps, ends = len(episode), np.arange(1, len(episode) + 1) == len(episode)
-    group.attrs["num_samples"] = steps
-    group["actions"] = episode.expert_action
-    group["states"] = episode.sim_state[:steps]
+def _write(group: Any, episode: Episode) -> int:
+    """Write one demonstration; returns the number of its actions."""
+    after = episode.meta.unobserved_step
+    actions = [*episode.expert_action, *([np.array(after["action"], np.float32)] if after else [])]
+    ends = np.arange(1, len(actions) + 1) == len(actions)
+    group.attrs["num_samples"] = len(actions)
+    group["actions"] = np.stack(actions)
     group["dones"] = ends.astype(np.int64)
     success, marks = episode.meta.success, (ends & bool(episode.meta.success)).astype(np.float64)
-    group["rewards"] = marks if episode.reward is None else episode.reward
+    group["rewards"] = marks if episode.reward is None else np.append(episode.reward, after.get("reward", []))
     if success is not None:
         group.attrs["success"] = success
-    observed = {STATE: episode.state, ACHIEVED: episode.achieved}
-    for key, value in observed.items():
-        if value.shape[1]:
-            _write_observation(group, key, value)
-    for camera, frames in episode.images.items():
+    moments = {f"obs/{STATE}": episode.state, f"obs/{ACHIEVED}": episode.achieved, "states": episode.sim_state}
+    moments |= {f"obs/{camera}{IMAGE}": frames for camera, frames in episode.images.items()}
+    for key, value in moments.items():
+        if not value.shape[1]:
+            continue
         # One chunk a frame: robomimic reads single frames in random order.
-        _write_observation(
-            group, camera + IMAGE, frames, chunks=(1, *frames.shape[1:]), compression="gzip", compression_opts=1
-        )
-
-
-def _write_observation(group: Any, key: str, value: Array, **how: Any) -> None:
-    """The observations before and after each action."""
-    group.create_dataset(f"obs/{key}", data=value[:-1], **how)
-    group.create_dataset(f"next_obs/{key}", data=value[1:], **how)
+        frame = {"chunks": (1, *value.shape[1:]), "compression": "gzip", "compression_opts": 1}
+        how = frame if value.dtype == np.uint8 else {}
+        group.create_dataset(key, data=value[: len(actions)], **how)
+        if not after:
+            group.create_dataset(f"next_{key}", data=value[1:], **how)
+    return len(actions)
 
 
 def _check(path: Path, store: Store) -> None:

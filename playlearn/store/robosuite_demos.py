@@ -129,7 +129,8 @@ class RobosuiteFile(Demonstrations):
             raise StoreError(f"{name} is of another scene than the first demonstration: import it separately")
         state, achieved = scene.observe(states, name)
         success = None if self._rule is None else self._rule(Signals(), name)
-        action = np.asarray(dataset(group, "actions")[:-1], np.float32)
+        *_, last = actions = np.asarray(dataset(group, "actions"), np.float32)
+        action = actions[:-1].copy()
         meta = EpisodeMeta(
             environment=self.spec.environment,
             state_names=self.spec.state_names,
@@ -141,6 +142,7 @@ class RobosuiteFile(Demonstrations):
             ended=how_ended(success),
             success=success,
             quantities=self.spec.quantities,
+            unobserved_step={"action": last.tolist()},
         )
         return Episode(
             meta=meta,

@@ -32,6 +32,8 @@ class TrainConfig:
     perceived: play as an image encoder perceives it, for a state policy that is to act behind that encoder (see
         PerceivedConfig); null for true states.
     extra_datasets: further stores of play, each with its fraction of every batch.
+    blind: every store of the run is read as a robot would have recorded it, without object poses, simulator states,
+        skills, rewards and clean labels (see `store.BlindStore`); what needs them is refused.
     init_from: a run whose policy training starts from, weights and normalization; null for a fresh one. It may be a
         state policy: its trunk and head are loaded, the image encoder starts fresh (needs `use_estimated_state`).
     trainable: shell-style patterns of the parameters that are trained; all others stay as they are.
@@ -63,6 +65,7 @@ class TrainConfig:
     scenes: ScenesConfig | None = None
     perceived: PerceivedConfig | None = None
     extra_datasets: tuple[DatasetSource, ...] = ()
+    blind: bool = False
     init_from: Path | None = None
     trainable: tuple[str, ...] = ("*",)
     batch_size: int = 256
@@ -121,6 +124,29 @@ class TrainConfig:
                 )
         if not 0 <= self.ema_decay < 1:
             raise UsageError(f"ema_decay must be in [0, 1), got {self.ema_decay}")
+        self._check_blind()
+
+    def _check_blind(self) -> None:
+        """Raises UsageError where a blind run asks for what is hidden."""
+        if not self.blind:
+            return
+        asked = {
+            "corrections": self.corrections is not None,
+            "scenes": self.scenes is not None,
+            "perceived": self.perceived is not None,
+            "policy.encoder.state_supervision": self.policy.encoder.supervised,
+            "data.target: next_settled_delta": self.data.target != "actions",
+        }
+        parts = {"data": self.data} | {
+            f"extra_datasets.{k}.data": source.data for k, source in enumerate(self.extra_datasets) if source.data
+        }
+        asked |= {f"{name}.failure_fraction": data.failure_fraction < 1 for name, data in parts.items()}
+        wrong = [name for name, is_asked in asked.items() if is_asked]
+        if wrong:
+            raise UsageError(
+                f"blind: {', '.join(wrong)} would read what a robot does not record (object poses, simulator states, "
+                "skills): leave it out, or set blind to false"
+            )
 
     def resolved(self) -> "TrainConfig":
         """With the fields of `data` that the policy decides."""
@@ -132,6 +158,7 @@ class TrainConfig:
             "cameras": encoder.observation_cameras if of_play else (),
             "goal_cameras": encoder.goal_cameras if of_play else (),
             "goal_names": encoder.goal_names,
+            "events": encoder.uses_events,
         }
         extra_datasets = [
             dataclasses.replace(source, data=dataclasses.replace(source.data or self.data, **decided))
@@ -158,7 +185,7 @@ def training_inputs(config: TrainConfig, store: Store) -> Digests:
     """What a training on a store reads, by digest; raises StoreError where another store is missing."""
     inputs: dict[str, Mapping[str, str]] = {"store": store.digests()}
     for number, source in enumerate(config.extra_datasets):
-        inputs[f"extra_datasets.{number}.store"] = open_store(source.store).digests()
+        inputs[f"extra_datasets.{number}.store"] = open_store(source.store, blind=config.blind).digests()
     encoder = None if config.perceived is None else config.perceived.encoder
     runs = {"init_from": config.init_from, "perceived.encoder": encoder}
     return inputs | {name: policy_digests(run) for name, run in runs.items() if run is not None}

@@ -27,6 +27,8 @@ from playlearn.policies import Policy
 from playlearn.store import Store
 from playlearn.training.config import TrainConfig
 
+_NAMED = 10  # episodes in a remark
+
 
 class RunExamples:
     """The examples of a run, in order of time: as recorded, then with what `make` adds to them.
@@ -39,7 +41,7 @@ class RunExamples:
         self.config, self.store, self.out, self.accelerator = config, store, out, accelerator
         self.data: PlayDataset = config.data.build(store, "train", config.seed)
         self.val = validation_batches(config, store)
-        self._sources = build_sources(self.data, config.extra_datasets, config.seed)
+        self._sources = build_sources(self.data, config.extra_datasets, config.seed, blind=config.blind)
         self._own: Part = self.data  # what is shown of it
         self._extra: list[tuple[Part, float]] = [*self._sources]
 
@@ -137,6 +139,17 @@ def store_remarks(config: TrainConfig, store: Store) -> list[str]:
     robot = settling.source != "achieved" or not store.spec.achieved_names
     goals = [settling.robot.describe(store.spec.state_names)] if robot else []
     return [*(f"{name}: {remark}" for name, remark in store.remarks().items()), *goals]
+
+
+def unsettled_remarks(data: PlayDataset) -> list[str]:
+    """Which episodes nothing settles in, where goals are settled moments: no example is cut from them."""
+    table = data.table
+    without = data.episodes[table.offsets[1:] == table.offsets[:-1]]
+    if not len(without) or not data.config.goals.reads_moments:
+        return []
+    numbers = [str(number) for number in data.store.indices()[without][:_NAMED]]
+    more = ", ..." if len(without) > _NAMED else ""
+    return [f"{len(without)} of {len(data.episodes)} episodes have no settled moment: {', '.join(numbers)}{more}"]
 
 
 def validation_batches(

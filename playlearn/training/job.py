@@ -1,5 +1,6 @@
 """Learn a policy from a store of play: the root that builds every part and hands it over."""
 
+import functools
 import json
 import math
 import os
@@ -19,18 +20,22 @@ from torch import Tensor, nn
 from playlearn.batch import Batch
 from playlearn.config import append_line, atomic_write, git_revision, held, save_config, to_dict, versions
 from playlearn.data import statistics
+from playlearn.data.projection import hand_projection
 from playlearn.errors import NotLearnedError, TrainingDiverged
 from playlearn.executor import interruption_deferred
 from playlearn.policies import Policy, PolicySpec
 from playlearn.policies.checkpoint import first_not_finite, load_checkpoint, save_checkpoint
 from playlearn.policies.ema import averaged
+from playlearn.privileges import KEY as PRIVILEGED
+from playlearn.report.events import events_picture
 from playlearn.report.outcome import Outcome
 from playlearn.report.progress import Pace, Progress
 from playlearn.store import Store, open_store
 from playlearn.threads import limit
 from playlearn.training.config import TrainConfig, check_out, flattened, run_folder, stored_threads, training_inputs
 from playlearn.training.divergence import reason
-from playlearn.training.examples import RunExamples, store_remarks
+from playlearn.training.examples import RunExamples, store_remarks, unsettled_remarks
+from playlearn.training.privileged import check_start, privileged
 from playlearn.training.window import Window
 
 
@@ -65,8 +70,10 @@ def _is_first() -> bool:
 def _train(config: TrainConfig, out: Path, *, resume: bool) -> None:
     threads = stored_threads(config, out, resume=resume)
     limit(threads)
-    store = open_store(config.store)
-    config.policy.encoder.check_goal(store.spec, store.name())  # before anything slow
+    store = open_store(config.store, blind=config.blind)
+    where = store.name() + (" (blind)" if config.blind else "")
+    config.policy.encoder.check_goal(store.spec, where)  # before anything slow
+    check_start(config)
     inputs = training_inputs(config, store)
     if resume:
         run_folder(out).check_inputs(inputs)
@@ -130,6 +137,7 @@ class _Run:
         if config.init_from is None:
             policy = config.policy.build(self.spec, statistics(self.data), config.seed)
             policy.fit_action_statistics(torch.as_tensor(self.data.targets()))
+            policy.encoder.calibrate(functools.partial(hand_projection, self.data, policy.normalizer))
             return policy
         begun = Policy.load(config.init_from / "policy")
         begun.check(self.spec, self.spec.cameras)
@@ -291,6 +299,9 @@ class _Run:
         outcome = Outcome.of(map(json.loads, lines), self.step, self.config.steps, self.seconds)
         record = json.loads((self.out / "run.json").read_text(encoding="utf-8"))
         atomic_write(self.out / "run.json", json.dumps({**record, "outcome": outcome.numbers()}, indent=2).encode())
+        picture = events_picture(cast(Policy, self.ema.module), self.examples.val[0]) if self.examples.val else None
+        if picture is not None:
+            atomic_write(self.out / "events.png", picture)
         for line in outcome.summary():
             print(f"{self.out}: {line}", file=sys.stderr, flush=True)
         complaint = outcome.complaint()
@@ -300,7 +311,7 @@ class _Run:
 
     def describe(self) -> None:
         """Save what is run, before it runs; say what of the store is not read, or is read otherwise than recorded."""
-        for remark in store_remarks(self.config, self.store):
+        for remark in (*store_remarks(self.config, self.store), *unsettled_remarks(self.data)):
             print(f"{self.store.name()}: {remark}", file=sys.stderr, flush=True)
         self._metrics.unlink(missing_ok=True)  # of a run that left no checkpoint
         save_config(self.config, self.out / "config.yaml")
@@ -315,6 +326,7 @@ class _Run:
             "examples": len(self.data),
             "store": {"path": self.store.name(), "episodes": len(self.store)},
             "environment": dict(self.store.spec.environment),
+            PRIVILEGED: privileged(self.config, self.store).to_dict(),
         }
         atomic_write(self.out / "run.json", json.dumps(record, indent=2, default=dict).encode())
 

@@ -58,10 +58,11 @@ def test_other_errors_are_no_matter_of_the_output(tmp_path: Path, monkeypatch: p
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
-def test_the_command_says_so_once() -> None:
+@pytest.mark.parametrize("argument", ["doctor", "--help"])
+def test_the_command_says_so_once(argument: str) -> None:
     """Python flushes standard output once more when it ends, and would complain a second time."""
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
-    command = [sys.executable, "-m", "playlearn.cli", "doctor"]
+    command = [sys.executable, "-m", "playlearn.cli", argument]
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, env=environment, check=False)
     assert done.returncode == 1

@@ -54,8 +54,9 @@ def test_examples_carry_what_the_encoder_gets_wrong_and_the_labels_of_the_truth(
     indices = np.arange(0, len(plain), 7)
     before, after = plain.batch(3, indices), varied.batch(3, indices)
     for entry in dataclasses.fields(before):
-        if entry.name not in ("achieved", "goal_achieved", "images", "goal_images", "keypoints", "goal_keypoints"):
-            assert torch.equal(getattr(before, entry.name), getattr(after, entry.name)), entry.name
+        made = getattr(before, entry.name)
+        if isinstance(made, torch.Tensor) and entry.name not in ("achieved", "goal_achieved"):
+            assert torch.equal(made, getattr(after, entry.name)), entry.name
     episodes, t = plain.where(indices)
     goals = plain.goals(3, indices)
     looked = {"now": 0, "before": 0, "goal": 0}

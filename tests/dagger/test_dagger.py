@@ -25,6 +25,7 @@ from playlearn.evaluation import TrainedRecipe
 from playlearn.oracles import PlayConfig
 from playlearn.policies import Policy
 from playlearn.relabeling.final_settled import FinalSettledConfig
+from playlearn.relabeling.uniform import FutureConfig
 from playlearn.store import NativeStore
 from playlearn.training import TrainConfig, train
 from tests.evaluation.parts import SUITE, play
@@ -119,6 +120,16 @@ def test_an_expert_that_does_not_finish_is_counted_and_leaves_nothing(run: Path,
         go(described(run, policy_steps=[1, 1], finish_steps=3), run, tmp_path / "out")
 
 
+def test_a_blind_run_is_refused(run: Path, tmp_path: Path) -> None:
+    config = load_config(TrainConfig, run / "config.yaml")
+    pose = replace(config.policy, encoder=replace(config.policy.encoder, goal_proprio=True))
+    goals = replace(config.data, goals=FutureConfig())
+    train(replace(config, blind=True, policy=pose, data=goals, steps=1, val_batches=0), tmp_path / "run")
+    with pytest.raises(UsageError, match=r"without object poses .*cannot be improved by DAgger"):
+        go(described(run), tmp_path / "run", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.slow
 def test_extra_datasets_of_the_run_keep_their_fractions(run: Path, tmp_path: Path) -> None:
     go(described(run, rounds=1), run, tmp_path / "first")
@@ -157,6 +168,10 @@ def test_rounds(run: Path, tmp_path: Path) -> None:
     assert all(kept for name, kept in same.items() if name.startswith("normalizer"))
     assert not all(same.values())
     TrainedRecipe(out, "state").check()
+    used = json.loads((out / "run.json").read_text())["privileged"]["training"]
+    assert sorted(used) == ["clean labels", "expert", "object poses"]
+    assert results["rounds"][-1]["privileged"]["training"] == used
+    assert "expert" not in start["privileged"]["training"]
 
     with pytest.raises(UsageError, match="--resume"):
         go(config, run, out)

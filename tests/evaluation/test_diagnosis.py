@@ -19,6 +19,7 @@ from playlearn.evaluation.diagnosis import _by_expert_seconds, diagnose, format_
 from playlearn.evaluation.failure_modes import FAILURE_MODES, LEFT, MISSED, NEVER
 from playlearn.evaluation.worker import EpisodeResult
 from playlearn.policies import Policy, PolicyConfig
+from playlearn.privileges import Privileges
 from tests.evaluation.parts import play, spec
 from tests.evaluation.test_failure_modes import CorrectableEnv, HandConfig, hand_expert
 
@@ -59,6 +60,7 @@ def test_every_failure_has_one_mode_and_the_expert_is_evaluated_too(tmp_path: Pa
     assert json.loads((tmp_path / "out" / "diagnosis.json").read_text()) == results
     failures = results["episodes"] - round(results["success_rate"] * results["episodes"])
     assert failures > 0, "an untrained policy cannot do this"
+    assert str(Privileges.from_dict(results["privileged"])) in (tmp_path / "out" / "diagnosis.html").read_text()
     assert set(results["failure_modes"]) == set(FAILURE_MODES)
     assert sum(row["count"] for row in results["failure_modes"].values()) == len(results["failures"]) == failures
     assert sum(row["fraction"] for row in results["failure_modes"].values()) == pytest.approx(1.0)

@@ -52,6 +52,12 @@ def test_the_expert_succeeds_and_the_random_policy_does_not(tmp_path: Path) -> N
     assert results["references"]["random"]["success_rate"] < 0.5
     assert results["references"]["expert"]["success_rate"] == results["success_rate"]
     assert json.loads((out / "results.json").read_text()) == results
+    nothing: dict[str, list[str]] = {"training": [], "relabeling": [], "goal": []}
+    assert results["privileged"] == {**nothing, "training": ["simulator state"]}
+    assert results["references"]["random"]["privileged"] == nothing
+    page = (out / "report.html").read_text()
+    assert "<td>training: simulator state</td>" in page
+    assert "<td>none</td>" in page
     assert results["achieved_names"] == ["puck.x", "puck.y", "lamp"]
     assert {name: row["episodes"] for name, row in results["tasks"].items()} == {"move_puck": 5, "lamp_on": 5}
     assert (results["suite"], results["goal_modality"], results["episodes"]) == ("point_tasks", "state", 10)

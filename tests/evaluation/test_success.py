@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from playlearn.errors import UsageError
 from playlearn.evaluation import ExpertRecipe, SuiteConfig, TasksConfig
 from playlearn.evaluation.worker import EpisodeResult, run_batch
 from tests.fakes import PointConfig, PointEnv, point_expert
@@ -60,3 +61,9 @@ def test_a_strict_success_has_everything_where_the_goal_shows_it(
     rows = results(3)
     assert all(row.success for row in rows)
     assert [row.strict for row in rows] == [all_there] * 3
+
+
+def test_parked_goals_want_an_environment_that_can_park() -> None:
+    environment = PointEnv(PointConfig())
+    with pytest.raises(UsageError, match=r"kind\.parked: this environment cannot put its robot elsewhere"):
+        TasksConfig(parked=True).setup(environment, EXPERT.build(environment), 0, 0, 50, ())

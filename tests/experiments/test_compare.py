@@ -108,11 +108,13 @@ def test_the_best_stands_first_in_the_table() -> None:
         "parameters": 1_000_000,
         "train_core_seconds": 10.0,
         "latency_ms": {"p50": 1.0, "p95": 2.0},
+        "privileged": {"training": ["clean labels"], "relabeling": [], "goal": []},
     }
     rows = [
         {**row, "variant": name, "success_rate": rate, "ci95": list(wilson(round(10 * rate), 10))}
         for name, rate in (("worse", 0.2), ("better", 0.5))
     ]
     lines = table(rows).splitlines()
-    assert lines[2].startswith("| better | **50 %** of 10 | 24 to 76 | 50 | 1.00 M | 10 | 1.0, 2.0 |")
+    assert lines[2].startswith("| better | **50 %** of 10 | 24 to 76 | 50 | training: clean labels | 1.00 M | 10 |")
     assert lines[3].startswith("| worse | **20 %** of 10 |")
+    assert "| unknown |" in table([{**rows[0], "privileged": None}]), "a row from before there was a record"

@@ -13,7 +13,16 @@ from tests.faults.command import HERE, LIMIT
 
 SCRIPT = Path(__file__).with_name("full_disk.py")
 # The quick ones of different libraries; all are tried where none is named.
-WRITERS = ("train", "diagnose", "render", "info --report .png", "view --save .rrd", "config")
+WRITERS = (
+    "train",
+    "diagnose",
+    "demo",
+    "render",
+    "export robomimic",
+    "info --report .png",
+    "view --save .rrd",
+    "config",
+)
 
 
 @pytest.mark.slow

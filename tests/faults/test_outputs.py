@@ -25,11 +25,14 @@ from playlearn.experiments import compare as comparison
 from playlearn.experiments.toy import load_experiment
 from playlearn.experiments.toy import run as run_toy
 from playlearn.lerobot.publish import export_policy
+from playlearn.lerobot.share import contents, share
 from playlearn.policies import Policy, PolicyConfig
 from playlearn.process_cache import cached_store
 from playlearn.sim import CameraConfig
 from playlearn.store import NativeStore, write_episode
-from playlearn.store.lerobot.export import export_lerobot
+from playlearn.store.importing import import_recordings
+from playlearn.store.robomimic import RobomimicFile
+from playlearn.store.robomimic_export import export_robomimic
 from playlearn.training import TrainConfig, train
 from tests.evaluation.parts import SUITE, play, spec
 from tests.fakes import point_expert
@@ -89,11 +92,28 @@ def jobs(made: Path, out: Path) -> dict[str, Callable[[], object]]:
         "render": lambda: render_store(store.path, out, {"front": CameraConfig(24, 32)}, workers=0),
         "scenes": lambda: drawn(store, out),
         "join": lambda: join_runs(run, run, out),
+        "import": lambda: imported(made, out),
     }
 
 
+def imported(made: Path, out: Path) -> NativeStore:
+    """The play, by way of robomimic's format."""
+    pytest.importorskip("h5py", reason="the extra `robomimic` is not installed")
+    if not (made / "play.hdf5").exists():
+        robomimic(NativeStore.open(made / "play"), made / "play.hdf5")
+    return import_recordings(RobomimicFile(made / "play.hdf5"), out)
+
+
+def robomimic(store: NativeStore, out: Path) -> None:
+    export_robomimic(store, out, {})
+
+
+def lerobot(store: NativeStore, out: Path) -> None:
+    share(contents(store), out, None)
+
+
 @pytest.mark.parametrize(
-    "job", ["train", "eval", "diagnose", "dagger", "compare", "demo", "toy", "render", "scenes", "join"]
+    "job", ["train", "eval", "diagnose", "dagger", "compare", "demo", "toy", "render", "scenes", "join", "import"]
 )
 def test_a_second_process_is_refused_and_writes_nothing(made: Path, tmp_path: Path, job: str) -> None:
     out = tmp_path / "out"
@@ -104,8 +124,24 @@ def test_a_second_process_is_refused_and_writes_nothing(made: Path, tmp_path: Pa
         assert [path.name for path in out.iterdir() if path.name != "episodes"] == [".lock"]
 
 
-@pytest.mark.parametrize("export", [export_policy, export_lerobot])
+def test_an_import_that_goes_on_is_refused_beside_another(made: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    imported(made, out)
+    (out / "episodes" / "000003.safetensors").unlink()
+    before = {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()}
+    with held(out):
+        with pytest.raises(BusyError, match=r"out is being written by another process: wait for it to end"):
+            imported(made, out)
+        assert {
+            path: path.stat().st_mtime_ns for path in out.rglob("*") if path.name != ".lock" and path.is_file()
+        } == before
+    assert len(imported(made, out)) == 4
+
+
+@pytest.mark.parametrize("export", [export_policy, lerobot, robomimic])
 def test_a_second_export_is_refused(made: Path, tmp_path: Path, export: Callable[[Any, Path], object]) -> None:
+    if export is robomimic:
+        pytest.importorskip("h5py", reason="the extra `robomimic` is not installed")
     source = made / "run" if export is export_policy else NativeStore.open(made / "play")
     with held(tmp_path / ".out.building"), pytest.raises(BusyError, match="is being written by another process"):
         export(source, tmp_path / "out")

@@ -55,7 +55,10 @@ def observed(**more: torch.Tensor) -> dict[str, torch.Tensor]:
 def test_the_goal_is_read_and_is_not_the_present_state(exported: Path) -> None:
     inputs = json.loads((exported / "config.json").read_text())["input_features"]
     assert {key: feature["shape"] for key, feature in inputs.items()} == {"observation.state": [S], PROPRIO: [S]}
-    assert f"`{PROPRIO}`" in (exported / "README.md").read_text()
+    card = (exported / "README.md").read_text()
+    assert "| observation | `observation.state` |" in card
+    assert f"| goal | `{PROPRIO}` |" in card
+    assert "| privileged information | unknown |" in card, "its run has no record"
     policy, goal = loaded(exported), torch.ones(2, S)
     here = policy.predict_action_chunk(observed(**{PROPRIO: torch.zeros(2, S)}))
     there = policy.predict_action_chunk(observed(**{PROPRIO: goal}))
@@ -177,6 +180,24 @@ def test_what_only_training_reads_is_asked_for_then(tmp_path: Path) -> None:
         ours.train().forward({**seen, "action": torch.zeros(2, H, 3)})
     loss, _ = ours.forward({**seen, **told, "action": torch.zeros(2, H, 3)})
     assert loss.isfinite()
+
+
+def test_images_that_are_scaled_otherwise_are_named(tmp_path: Path) -> None:
+    policy("cnn").save(tmp_path / "run" / "policy")
+    export_policy(tmp_path / "run", tmp_path / "out")
+    ours = loaded(tmp_path / "out")
+    names = ("front", "wrist", "goal_front")
+    seen = observed(**{f"observation.images.{name}": torch.rand(2, 3, 16, 16) for name in names})
+    there = ours.predict_action_chunk(seen)
+    whole = {key: (255 * value).to(torch.uint8) if ".images." in key else value for key, value in seen.items()}
+    assert ours.predict_action_chunk(whole).shape == there.shape
+    goal = "observation.images.goal_front"
+    for wrong, said in ((255 * seen[goal], "255"), ((seen[goal] - 0.5) / 0.2, "-2.5")):
+        with pytest.raises(UsageError, match=rf"{goal} is between .*{said[:-1]}.*numbers from 0 to 1, or uint8"):
+            ours.predict_action_chunk({**seen, goal: wrong})
+    gray = {**seen, goal: seen[goal][:, :1]}
+    with pytest.raises(UsageError, match=rf"trained on {goal} of shape \(3, 16, 16\), here it is \(1, 16, 16\)"):
+        ours.predict_action_chunk(gray)
 
 
 def test_what_the_dataset_cannot_give_is_refused(

@@ -70,6 +70,6 @@ def test_a_missing_camera_is_named_with_those_that_exist(tmp_path: Path) -> None
     (tmp_path / "exported" / "meta" / "playlearn").rename(tmp_path / "aside")
     wrong = config(tmp_path / "exported", "cnn")  # a folder of whatever kind will do
     with pytest.raises(
-        UsageError, match=r"has no images of .* \(it has: top 16x24\); name its own in `policy.encoder`"
+        UsageError, match=r"has no images of .* \(it has: top 16x24\); name its own: `--policy.encoder.cameras"
     ):
         train(wrong, tmp_path / "run")

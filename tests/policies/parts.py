@@ -44,6 +44,7 @@ SMALL: dict[str, dict[str, Any]] = {
         "hidden": 16,
         "heatmaps": 3,
     },
+    "hand": {"channels": 8, "features": 16, "hidden": 16},
     "tokens": {"channels": [8, 8], "kernels": [3, 3], "strides": [2, 2], "tokens": 2, "hidden": 16},
     "transformers": {
         "name": "resnet",
@@ -85,6 +86,7 @@ class Examples:
     goal_images: Mapping[str, torch.Tensor] = field(default_factory=dict)
     keypoints: Mapping[str, torch.Tensor] = field(default_factory=dict)
     goal_keypoints: Mapping[str, torch.Tensor] = field(default_factory=dict)
+    events: Mapping[str, torch.Tensor] = field(default_factory=dict)
 
 
 def small(kind: str, **more: Any) -> dict[str, Any]:
@@ -144,6 +146,10 @@ def examples(count: int = 5, history: int = 1, seed: int = 0) -> Examples:
         images={"front": frames(count, history), "wrist": frames(count, history)},
         goal_images={"front": frames(count)},
         goal_proprio=numbers(count, S),
+        events={
+            "grasp": numbers(count, S).where(torch.arange(count)[:, None] % 3 > 0, torch.nan),
+            "settled": numbers(count, S),
+        },
     )
 
 

@@ -13,6 +13,7 @@ from playlearn.data.split import val_episodes
 from playlearn.errors import CheckpointError, UsageError
 from playlearn.evaluation import TrainedRecipe, evaluate, join_runs
 from playlearn.policies import Policy
+from playlearn.privileges import Privileges
 from playlearn.store import NativeStore
 from playlearn.training import TrainConfig, train
 from tests.evaluation.parts import SUITE, play
@@ -77,6 +78,9 @@ def test_it_is_the_state_policy_with_the_encoder_of_the_other(folder: Path, tmp_
     assert all(name.startswith(("encoder.front.", "encoder.others.", "encoder.estimate.")) for name in rest)
     assert joined.config.encoder.goals == ("image",)
     assert (tmp_path / "joined" / "config.yaml").is_file()
+    used = Privileges.of_run(tmp_path / "joined")
+    assert used.training == (Privileges.of_run(folder / "state") | Privileges.of_run(folder / "encoder")).training
+    assert used.goal == ()
 
 
 @pytest.mark.slow

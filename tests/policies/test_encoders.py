@@ -1,6 +1,7 @@
 """Laws of the encoders: what they may read, and how goals are withheld."""
 
 import dataclasses
+import json
 import shutil
 from pathlib import Path
 
@@ -8,13 +9,14 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from playlearn.config import from_dict, to_dict
 from playlearn.errors import UsageError
 from playlearn.policies import Policy, PolicyConfig
 from playlearn.policies.encoders.cameras import pixels, random_shift
 from playlearn.policies.encoders.cnn import SpatialSoftmax
 from playlearn.policies.encoders.objects import ObjectTokens
 from playlearn.policies.encoders.tokens import TokenPool
-from tests.policies.parts import ENCODERS, SPEC, Examples, examples, generator, policy
+from tests.policies.parts import ENCODERS, SPEC, Examples, examples, generator, policy, spreads
 
 ESTIMATE = {"state_supervision": 1.0, "use_estimated_state": True}
 
@@ -35,9 +37,28 @@ def test_a_withheld_goal_leaves_no_trace(encoder: str) -> None:
     batch, other = examples(), examples(seed=3)
     elsewhere = dataclasses.replace(batch, goal_achieved=other.goal_achieved, goal_images=other.goal_images)
     keep = torch.zeros(5, dtype=torch.bool)
-    one, two = (made.encoder(made._normalized(inputs), keep) for inputs in (batch, elsewhere))
+    one, two = (made.encoder(made.normalized(inputs), keep) for inputs in (batch, elsewhere))
     assert torch.equal(one.goal, two.goal)
     assert torch.equal(one.steps, two.steps)
+
+
+@pytest.mark.parametrize("encoder", [kind for kind in ENCODERS if policy(kind).cameras])
+def test_a_camera_may_have_dots_in_its_name(encoder: str, tmp_path: Path) -> None:
+    """As BEHAVIOR's `observation.images.rgb.head`: the same policy, whatever its cameras are called."""
+    named = {"front": "rgb.head", "wrist": "rgb.left.wrist"}
+    plain = policy(encoder)
+    written = json.dumps(to_dict(plain.config))
+    for camera, name in named.items():
+        written = written.replace(f'"{camera}"', f'"{name}"')
+    spec = dataclasses.replace(SPEC, cameras={named[camera]: size for camera, size in SPEC.cameras.items()})
+    dotted = from_dict(PolicyConfig, json.loads(written)).build(spec, spreads(), 0)
+    dotted.save(tmp_path)
+    seen = examples()
+    images = {named[camera]: frames for camera, frames in seen.images.items()}
+    goals = {named[camera]: frames for camera, frames in seen.goal_images.items() if camera == "front"}
+    renamed = dataclasses.replace(seen, images=images, goal_images=goals)
+    acted = Policy.load(tmp_path).act(renamed, generator())
+    assert torch.equal(acted, plain.eval().act(seen, generator()))
 
 
 @pytest.mark.parametrize("fusion", ["early", "late"])
@@ -54,7 +75,7 @@ def test_the_auxiliary_loss_trains_the_estimate_and_the_policy_only_if_configure
         made = policy("cnn", encoder_options={**ESTIMATE, "detach_estimate": detached})
         batch = examples()
         keep = torch.ones(5, dtype=torch.bool)
-        features, extra = made._features(made._normalized(batch), keep, None)
+        features, extra = made._features(made.normalized(batch), keep, None)
         features.square().sum().backward(retain_graph=True)
         layers = list(made.encoder.estimate.parameters())
         assert all(p.grad is None for p in layers) == detached
@@ -201,7 +222,7 @@ def test_a_goal_changes_nothing_of_what_is_looked_at_until_something_is_learned(
     keep = torch.ones(5, dtype=torch.bool)
 
     def steps(inputs: Examples) -> torch.Tensor:
-        return made.encoder(made._normalized(inputs), keep).steps
+        return made.encoder(made.normalized(inputs), keep).steps
 
     assert torch.equal(steps(batch), steps(elsewhere))
     optimizer = torch.optim.SGD(made.parameters(), lr=0.1)

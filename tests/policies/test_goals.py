@@ -18,6 +18,7 @@ LOOKING = [kind for kind in ENCODERS if issubclass(EncoderConfig.get_choice_clas
 FUSED = [("cnn", {"fusion": "early"}), ("cnn", {"fusion": "late"}), ("cnn", ESTIMATE)]
 FUSED = [*FUSED, ("cnn", {"fusion": "late", **ESTIMATE}), *((kind, {}) for kind in LOOKING if kind != "cnn")]
 looking = pytest.mark.parametrize(("encoder", "options"), FUSED)
+either = pytest.mark.parametrize(("encoder", "options"), [one for one in FUSED if one[0] != "hand"])  # images only
 
 
 def told(batch: Examples) -> Examples:
@@ -33,7 +34,7 @@ def other_image(batch: Examples) -> Examples:
     return dataclasses.replace(batch, goal_images=examples(seed=3).goal_images)
 
 
-@looking
+@either
 def test_a_goal_that_is_a_state_needs_no_image(encoder: str, options: dict[str, Any]) -> None:
     made = policy(encoder, encoder_options={**options, "goal": "state"}).eval()
     assert made.config.encoder.goal_cameras == ()
@@ -49,7 +50,7 @@ def test_a_goal_that_is_a_state_needs_no_image(encoder: str, options: dict[str, 
     assert reached == {name for name, _ in made.named_parameters()}
 
 
-@looking
+@either
 def test_shown_either_way_it_reads_what_it_is_given(encoder: str, options: dict[str, Any]) -> None:
     """An image hides the state, which only counts where there is no image; nothing of a withheld goal is seen."""
     made = policy(encoder, encoder_options={**options, "goal": "both"}).eval()
@@ -64,7 +65,7 @@ def test_shown_either_way_it_reads_what_it_is_given(encoder: str, options: dict[
 
 
 @pytest.mark.slow
-@looking
+@either
 def test_training_gives_a_fraction_of_goal_images(encoder: str, options: dict[str, Any]) -> None:
     """At a share of 1 a goal's state changes nothing but what images must tell on the side; at 0 its image does not."""
     batch = examples(8)

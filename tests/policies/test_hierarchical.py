@@ -165,7 +165,7 @@ def test_what_is_believed_is_seen_where_there_are_cameras() -> None:
     )
     with torch.inference_mode():
         keep = torch.zeros(len(told.state), dtype=torch.bool)
-        normal = reader.encoder(reader._normalized(told), keep).observed
+        normal = reader.encoder(reader.normalized(told), keep).observed
     assert normal is not None
     torch.testing.assert_close(reader.normalizer.normalize("achieved", estimate_achieved), normal[:, -1])
     with pytest.raises(UsageError, match="makes no pose estimates"):

@@ -61,7 +61,7 @@ def test_heatmaps_learn_from_keypoints_alone() -> None:
 
 def test_a_glimpse_is_the_square_of_pixels_around_its_place() -> None:
     """At a border it is the last one that lies within the image."""
-    glimpses = Glimpses(KeypointsConfig(heatmaps=3, glimpse=6), 3, (12, 20))
+    glimpses = Glimpses(6, 3, 64, 3, (12, 20))
     images = torch.rand(2, 3, 12, 20, generator=generator())
     places = torch.tensor([[[0.0, 0.0], [-1.0, 1.0], [0.93, -0.2]], [[-0.5, 0.5], [1.0, -1.0], [0.1, 0.0]]])
     corners = glimpses.corners(places)
@@ -74,7 +74,7 @@ def test_a_glimpse_is_the_square_of_pixels_around_its_place() -> None:
 
 
 def test_a_glimpse_tells_where_it_was_taken_and_only_of_its_own_square() -> None:
-    glimpses = Glimpses(KeypointsConfig(heatmaps=2, glimpse=6, glimpse_features=4), 3, (12, 20))
+    glimpses = Glimpses(6, 2, 4, 3, (12, 20))
     image, places = torch.rand(1, 3, 12, 20, generator=generator()), torch.tensor([[[-0.6, 0.0], [0.6, 0.0]]])
     told = glimpses(image, places)
     assert told.shape == (1, 2, 4 + 2)
@@ -127,7 +127,7 @@ def test_an_observation_that_is_its_own_goal_is_seen_once_and_tells_the_same() -
     apart = replace(batch, goal_images={"front": batch.images["front"][:, 0].clone()})
     looks = []
     ours.encoder.front.register_forward_pre_hook(lambda _, inputs: looks.append(len(inputs[0])))
-    one, other = (ours.encoder.perceive(ours._normalized(b)) for b in (same, apart))
+    one, other = (ours.encoder.perceive(ours.normalized(b)) for b in (same, apart))
     assert looks == [3, 6]
     torch.testing.assert_close(one.observed, other.observed)
     torch.testing.assert_close(one.wanted, other.wanted)

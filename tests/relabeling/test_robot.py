@@ -131,13 +131,24 @@ def test_patterns_say_which_numbers_are_what() -> None:
     assert found(wide, names) == found(CARRIED)
 
 
+def test_a_gripper_may_close_at_high_numbers_in_any_unit() -> None:
+    """The moments of one that closes at low ones; taken for such a one, it would open where it closes."""
+    for scale, zero in ((1.0, 0.0), (100.0, 5.0), (57.3, -20.0)):  # meters, percent, degrees
+        turned = CARRIED.copy()
+        turned[:, 4] = zero - scale * CARRIED[:, 4]
+        assert found(turned, config=RobotConfig(gripper_closes="high")) == found(CARRIED)
+        assert found(turned) != found(CARRIED)
+
+
 def test_what_is_read_from_the_robot_is_said() -> None:
     assert "the gripper (gripper) has opened or, closed, the arm (x, y) stops" in RobotConfig().describe(
         ("x", "y", "gripper")
     )
     two = RobotConfig().describe(("x", "left_gripper", "right_gripper"))
     assert "the gripper (left_gripper)" in two
-    assert "not by right_gripper, which `data.settling.robot.gripper` can name instead" in two
+    assert "one gripper is read, and not right_gripper: `data.settling.robot.gripper` and `.arm` can name" in two
+    high = RobotConfig(gripper_closes="high").describe(("x", "gripper"))
+    assert "it is closed where it reads high (`data.settling.robot.gripper_closes`)" in high
     none = RobotConfig().describe(("state.0", "state.1"))
     assert none.startswith("no gripper (*gripper*): every stop of the arm (state.0, state.1) counts")
 

@@ -130,3 +130,15 @@ def test_the_hand_goes_where_the_action_points(env: PlayTableEnv) -> None:
         went = env.observe().state[:3] - before
         assert went[axis] > 0.024
         assert np.abs(np.delete(went, axis)).max() < 0.2 * went[axis]
+
+
+def test_a_parked_robot_is_where_it_was_and_all_else_stays(env: PlayTableEnv) -> None:
+    env.reset(0)
+    start, began = env.sim_state(), env.observe()
+    drive(env, 4, 40)
+    moved = env.observe()
+    assert np.abs(moved.state - began.state).max() > 0.05
+    env.park(start)
+    parked = env.observe()
+    np.testing.assert_allclose(parked.state, began.state, atol=1e-6)
+    np.testing.assert_array_equal(parked.achieved, moved.achieved)

@@ -5,14 +5,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from playlearn.episode import Episode
 from playlearn.errors import DiskError, StoreError
-from playlearn.store import NativeStore, StoreSpec
+from playlearn.store import LeRobotStoreConfig, NativeStore, StoreSpec
+from playlearn.store.importing import import_recordings
 from playlearn.store.lerobot import export as exporting
 from playlearn.store.lerobot.content import PLAY, Content, Play
 from playlearn.store.lerobot.export import Codec, export_lerobot, write_lerobot
+from playlearn.store.lerobot.recordings import LeRobotRecordings
+from tests.lerobot_dataset import encoded, image, vector, write_dataset
 from tests.synthetic import SKILLS, make_episode, make_store
 
 # What LeRobot and the packages below it warn of is theirs to fix.
@@ -48,6 +52,37 @@ def exported(store: NativeStore, cache: Path, tmp_path_factory: pytest.TempPathF
     assert done == [(1, 3), (2, 3), (3, 3)]
     assert [path.name for path in out.parent.iterdir()] == ["play"]  # nothing is left beside it
     return out
+
+
+def test_every_frame_of_others_comes_back(cache: Path, tmp_path: Path) -> None:
+    """The last one too, where nobody saw what its action led to: nothing is learned from it, and nothing is lost."""
+    rng, lengths = np.random.default_rng(0), (12, 9)
+    frames = rng.integers(0, 255, (sum(lengths), 48, 64, 3)).astype(np.uint8)
+    columns = {
+        "observation.state": rng.normal(size=(sum(lengths), 3)).tolist(),
+        "action": rng.normal(size=(sum(lengths), 2)).tolist(),
+        "next.reward": np.arange(sum(lengths), dtype=np.float32),
+    }
+    features = {"observation.state": vector(["x", "y", "gripper"]), "action": vector(["dx", "dy"])}
+    features |= {"next.reward": vector(None, 1), "observation.images.top": image(48, 64, 3)}
+    tasks = [["pick: it"] * 12, ["put_it"] * 9]
+    cells = {"observation.images.top": encoded(frames)}
+    source = write_dataset(tmp_path / "source", features, columns | cells, lengths, tasks)
+    config = LeRobotStoreConfig(root=source, cache=tmp_path / "frames")
+    store = import_recordings(LeRobotRecordings(config.build()), tmp_path / "play")
+    assert store.lengths().tolist() == [11, 8]
+    export_lerobot(store, tmp_path / "back")
+    back = pq.read_table(tmp_path / "back" / "data")
+    for key, own in columns.items():
+        given = np.array(back[key].to_pylist()).reshape(sum(lengths), -1)
+        np.testing.assert_array_equal(given, np.asarray(own, np.float32).reshape(sum(lengths), -1))
+    again = LeRobotStoreConfig(root=tmp_path / "back", cache=tmp_path / "frames").build()
+    for i, begin in enumerate((0, 12)):
+        mine, its = store.read(i), again.read(i)
+        assert its.meta == mine.meta
+        np.testing.assert_array_equal(mine.images["top"], frames[begin : begin + lengths[i]])
+        for key, value in mine.arrays().items():
+            np.testing.assert_array_equal(its.arrays()[key], value)
 
 
 @pytest.mark.slow

@@ -159,11 +159,8 @@ def test_a_reward_is_a_success_only_where_that_is_known(what: str, tmp_path: Pat
     }
     export_robomimic(store, tmp_path / "back.hdf5", {})
     with h5py.File(tmp_path / "back.hdf5") as file:
-        for k, own in enumerate(rewards):
-            expected = own[:-1].copy()
-            if what in ("robomimic's", "none"):  # the mark of success stays at the end
-                expected[-1] = own[-1]
-            np.testing.assert_array_equal(file[f"data/demo_{k}/rewards"], expected)
+        for k, own in enumerate(rewards):  # that of the last action, which no observation follows, among them
+            np.testing.assert_array_equal(file[f"data/demo_{k}/rewards"], own)
     again = import_recordings(RobomimicFile(tmp_path / "back.hdf5"), tmp_path / "again", **QUIET)
     assert [again.meta(i).success for i in range(3)] == success
 
@@ -272,17 +269,27 @@ def _arguments(value: Any) -> Callable[[Any], None]:
     return change
 
 
+def _observe_next(file: Any, rows: int) -> None:
+    for demo in file["data"].values():
+        for key, value in demo["obs"].items():
+            demo[f"next_obs/{key}"] = value[:rows]
+
+
 def _twice(file: Any) -> None:
     file.copy("data/demo_1", "data/demo_01")
 
 
 ODD = {
     "complex actions": (_data("actions", np.zeros((STEPS, 7), np.complex64)), "demo_1: actions is of complex64"),
-    "a number": (_data("actions", 3.0), r"demo_1 has 0 actions \(of shape \(\)\)"),
+    "a number": (_data("actions", 3.0), r"demo_1: it has 0 actions \(of shape \(\)\)"),
     "an empty array": (_data("actions", h5py.Empty("f")), "demo_1/actions is empty"),
     "records": (_data("obs/object", np.zeros((STEPS, 10), [("x", "f4")])), "demo_1: obs/object is of "),
     "rows of rows": (_data("obs/object", np.zeros((STEPS, 1, 10))), r"demo_1: obs/object has shape \(120, 1, 10\)"),
     "states as text": (_data("states", np.full((STEPS, 3), b"x")), "demo_1: states is of "),
+    "next observations, too few": (
+        lambda file: _observe_next(file, 4),
+        r"demo_0: next_obs/robot0_eef_pos has shape \(4, 3\), not \(120, 3\)",
+    ),
     "states, too few": (_data("states", np.zeros((4, 3))), r"demo_1: states has shape \(4, 3\), not \(120, 3\)"),
     "rewards as text": (_data("rewards", np.full(STEPS, b"x")), "demo_1: rewards is of "),
     "rewards, too many": (_data("rewards", np.zeros(STEPS + 1)), r"demo_1: rewards has shape \(121,\), not \(120,\)"),

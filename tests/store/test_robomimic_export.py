@@ -37,7 +37,7 @@ def store(tmp_path: Path) -> NativeStore:
     return store
 
 
-def test_an_export_reads_back_without_the_last_step(store: NativeStore, tmp_path: Path) -> None:
+def test_an_export_reads_back(store: NativeStore, tmp_path: Path) -> None:
     export_robomimic(store, tmp_path / "a.hdf5", MASKS)
     back = import_recordings(RobomimicFile(tmp_path / "a.hdf5"), tmp_path / "back")
     assert back.indices().tolist() == [1, 2, 10]  # the numbers they were recorded under, in numeric order
@@ -48,13 +48,14 @@ def test_an_export_reads_back_without_the_last_step(store: NativeStore, tmp_path
     assert back.spec.quantities == store.spec.quantities == QUANTITIES
     for i in range(3):
         mine, its = store.read(i), back.read(i)
-        assert len(its) == len(mine) - 1  # the importer reads `obs`, in which the last observation is not
         for name in ("state", "achieved", "sim_state", "time", "expert_action"):
-            np.testing.assert_array_equal(getattr(its, name), getattr(mine, name)[:-1])
-        np.testing.assert_array_equal(its.images["front"], mine.images["front"][:-1])
+            np.testing.assert_array_equal(getattr(its, name), getattr(mine, name))
+        np.testing.assert_array_equal(its.images["front"], mine.images["front"])
+        assert its.meta.unobserved_step == {}
+    assert back.remarks() == {}
     with h5py.File(tmp_path / "a.hdf5") as file:
         demo, mine = file["data/demo_10"], store.read(2)
-        np.testing.assert_array_equal(demo["next_obs/object"][-1], mine.achieved[-1])  # here it is
+        np.testing.assert_array_equal(demo["next_obs/object"][-1], mine.achieved[-1])
         np.testing.assert_array_equal(demo["next_obs/front_image"], mine.images["front"][1:])
         assert (demo.attrs["num_samples"], demo["dones"][()].tolist()) == (30, [0] * 29 + [1])
         assert [file[f"data/demo_{n}/rewards"][-1] for n in (1, 2, 10)] == [1, 0, 0]

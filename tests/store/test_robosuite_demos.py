@@ -57,6 +57,7 @@ def test_end_effector_and_cube_have_their_simulated_positions(lift: Any, tmp_pat
     np.testing.assert_allclose(episode.state[3, :9], seen.state[:9], atol=1e-6)
     np.testing.assert_allclose(episode.achieved[3, :3], seen.achieved[:3], atol=1e-6)
     np.testing.assert_allclose(episode.action, 0.2)
+    np.testing.assert_allclose(episode.meta.unobserved_step["action"], 0.2)  # the fifth
     assert store.verify() == []
 
 

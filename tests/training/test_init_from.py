@@ -74,7 +74,7 @@ def test_eyes_are_learned_for_a_policy_of_states(play: Path, started: Path, tmp_
     # where its estimates are right it does what the state policy does
     policy, state = Policy.load(tmp_path / "encoder" / "policy"), Policy.load(started / "policy")
     batch = encoder.resolved().data.build(_store(play), "train", 0).batch(0, np.arange(5))
-    normal = state._normalized(batch)
+    normal = state.normalized(batch)
     policy.encoder.estimate.forward = lambda *_: normal.achieved  # type: ignore[union-attr, method-assign]
     policy.encoder.estimate.wanted.forward = lambda _: normal.goal_achieved  # type: ignore[union-attr]
     draws = torch.Generator().manual_seed(0)

@@ -5,11 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from playlearn.errors import PlaylearnError
+from playlearn.episode import Array
+from playlearn.errors import PlaylearnError, UsageError
 from playlearn.evaluation.goal_generation import DRAWS, GoalGeneration, achieved_now, names_of
 from playlearn.evaluation.suite import EvalEpisode, SuiteKind, derived_seed, goal_from
 from playlearn.rollout import Actor
-from playlearn.sim.environment import Environment
+from playlearn.sim.environment import Environment, Parkable
 
 
 @SuiteKind.register_subclass("tasks")
@@ -20,11 +21,13 @@ class TasksConfig(SuiteKind):
     tasks: names (null: all of the environment).
     rest: the expert's goal is settled once no dimension of `achieved` moves more than this ...
     rest_seconds: ... for so long.
+    parked: whether goal images show the robot where it was at the start, so that nothing can be read off its arm.
     """
 
     tasks: tuple[str, ...] | None = None
     rest: float = 0.003
     rest_seconds: float = 0.5
+    parked: bool = False
 
     def setup(
         self, environment: Environment, expert: Actor, episode: int, seed: int, max_steps: int, cameras: Sequence[str]
@@ -44,13 +47,16 @@ class TasksConfig(SuiteKind):
             failure = generation.drive(copy, expert, task, rng, max_steps)
             if failure:
                 continue
+            goal_sim_state = np.array(copy.sim_state())
+            if self.parked:
+                _park(copy, start)
             return EvalEpisode(
                 episode=episode,
                 task=task.name,
                 start_sim_state=start,
                 start_achieved=start_achieved,
                 goal=goal_from(copy, cameras),
-                goal_sim_state=np.array(copy.sim_state()),
+                goal_sim_state=goal_sim_state,
                 seed=derived_seed(seed, episode),
                 redraws=draw,
             )
@@ -58,3 +64,10 @@ class TasksConfig(SuiteKind):
             f"the expert did not do task {task.name!r} in {DRAWS} draws of episode {episode} (the last: {failure}), so "
             f"there is no goal to show. Leave it out of the suite's `kind.tasks`, or raise max_steps ({max_steps})"
         )
+
+
+def _park(environment: Environment, start: Array) -> None:
+    """Put the robot where it was at the start. Raises UsageError where the environment cannot."""
+    if not isinstance(environment, Parkable):
+        raise UsageError("kind.parked: this environment cannot put its robot elsewhere (`park`); set it to false")
+    environment.park(start)

@@ -2,6 +2,7 @@
 
 from playlearn.policies.encoders.base import Encoder, EncoderConfig, Modality, Tokens
 from playlearn.policies.encoders.cnn import CNNConfig
+from playlearn.policies.encoders.hand import HandConfig, HandEncoder
 from playlearn.policies.encoders.image import ImageConfig
 from playlearn.policies.encoders.keypoints import KeypointsConfig
 from playlearn.policies.encoders.state import StateConfig
@@ -13,6 +14,8 @@ __all__ = [
     "CNNConfig",
     "Encoder",
     "EncoderConfig",
+    "HandConfig",
+    "HandEncoder",
     "ImageConfig",
     "KeypointsConfig",
     "Modality",

@@ -1,6 +1,6 @@
 """What every encoder offers: observation history and goal in, tokens out."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -44,6 +44,11 @@ class EncoderConfig(draccus.ChoiceRegistry):
         return False
 
     @property
+    def uses_events(self) -> bool:
+        """Whether training reads the robot's own state at events ahead (see `relabeling.hand`)."""
+        return False
+
+    @property
     def needs_achieved(self) -> bool:
         """Whether `achieved` must have dimensions that a goal covers."""
         return "state" in self.goals
@@ -81,6 +86,7 @@ class Tokens:
     wanted: (B, G) estimates of the normalized `achieved` of the goal.
     heatmaps: camera -> (B, T, K, h, w) logits, of encoders that make them.
     goal_heatmaps: camera -> (B, K, h, w) logits, of the goal image.
+    proposals: of where the hand goes next, of encoders that make them.
     """
 
     goal: Tensor
@@ -89,6 +95,27 @@ class Tokens:
     wanted: Tensor | None = None
     heatmaps: Mapping[str, Tensor] = field(default_factory=dict)
     goal_heatmaps: Mapping[str, Tensor] = field(default_factory=dict)
+    proposals: "Proposals | None" = None
+
+
+@dataclass(frozen=True, eq=False)
+class Proposals:
+    """What the N cells of an image propose for E events of the robot's own future (see `hand.py`).
+
+    logits: (B, E, N) confidence of each cell.
+    states: (B, E, N, S) normalized robot states.
+    ahead: (B, E) logits of whether the event lies ahead.
+    shift: (B, 2), x and y in [-1, 1], by which the images were shifted.
+    answers: (B, E, K) confidence of each answer that a closer look at the most confident cell gives.
+    refined: (B, E, K, S) these answers, normalized robot states.
+    """
+
+    logits: Tensor
+    states: Tensor
+    ahead: Tensor
+    shift: Tensor
+    answers: Tensor
+    refined: Tensor
 
 
 class Encoder(nn.Module):
@@ -109,6 +136,12 @@ class Encoder(nn.Module):
     def token_parameters(self) -> Iterable[nn.Parameter]:
         """The parameters that receive gradients through the tokens; the others learn from `auxiliary` alone."""
         return self.parameters()
+
+    def calibrate(self, project: Callable[[str, Sequence[int]], Tensor]) -> None:
+        """Before the first update: fit what is read off the play and not learned.
+
+        project: of a camera and of the numbers of the state that move the hand, see `data.projection`.
+        """
 
     def perceive(self, inputs: Inputs, generator: torch.Generator | None = None) -> Tokens:
         """The part of `forward` that `auxiliary` needs; its tokens may be empty."""

@@ -1,5 +1,6 @@
 """What image encoders share: cameras, goal modality, pixels, random shifts."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -59,6 +60,22 @@ class CamerasConfig(EncoderConfig):
         return (draws < self.image_goal_prob).to(device)
 
 
+class PerCamera(nn.ModuleDict):
+    """Camera -> network, whatever the camera is called: a module's name must have no dot."""
+
+    DOT = "|"
+
+    def __init__(self, networks: Mapping[str, nn.Module]) -> None:
+        super().__init__({camera.replace(".", self.DOT): network for camera, network in networks.items()})
+
+    def __getitem__(self, camera: str) -> nn.Module:
+        return super().__getitem__(camera.replace(".", self.DOT))
+
+    def networks(self) -> list[tuple[str, nn.Module]]:
+        """(camera, network), in order."""
+        return [(name.replace(self.DOT, "."), network) for name, network in self.items()]
+
+
 def pixels(frames: Tensor) -> Tensor:
     """(B, h, w, C) uint8 -> (B, C, h, w) float32 in [-1, 1], channels last in memory, which CPUs convolve fastest."""
     return frames.float().mul_(2 / 255).sub_(1).permute(0, 3, 1, 2)
@@ -74,10 +91,21 @@ def random_shift(frames: Tensor, limit: int, generator: torch.Generator | None) 
 
     Without a generator, or by 0, they stay where they are.
     """
+    return shift_frames(frames, shift_offsets(len(frames), limit, generator))
+
+
+def shift_offsets(batch: int, limit: int, generator: torch.Generator | None) -> Tensor | None:
+    """(2, B, 1) int64: rows and columns of up to `limit` by which to shift; None without a generator, or by 0."""
     if generator is None or limit == 0:
+        return None
+    return torch.randint(-limit, limit + 1, (2, batch, 1), generator=generator, device=generator.device)
+
+
+def shift_frames(frames: Tensor, offsets: Tensor | None) -> Tensor:
+    """(B, T, h, w, C), of which pixel (row, column) is what was at (row, column) + offsets; None leaves them."""
+    if offsets is None:
         return frames
     batch, steps, height, width, channels = frames.shape
-    offsets = torch.randint(-limit, limit + 1, (2, batch, 1), generator=generator, device=generator.device)
     offsets = offsets.to(frames.device)
     rows = (torch.arange(height, device=frames.device) + offsets[0]).clamp_(0, height - 1)  # (B, h)
     columns = (torch.arange(width, device=frames.device) + offsets[1]).clamp_(0, width - 1)  # (B, w)

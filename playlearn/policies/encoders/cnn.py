@@ -7,6 +7,7 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
+from playlearn.errors import UsageError
 from playlearn.policies.encoders.base import EncoderConfig
 from playlearn.policies.encoders.cameras import channels_last
 from playlearn.policies.encoders.image import ImageConfig
@@ -37,8 +38,16 @@ class CNNConfig(ImageConfig):
         if self.pool == "spatial_softmax":
             layers.pop()  # a softmax needs no ReLU before it
         convolutions = channels_last(nn.Sequential(*layers))
-        with torch.no_grad():
-            _, depth, height, width = convolutions(torch.zeros(1, channels, *size)).shape
+        try:
+            with torch.no_grad():
+                _, depth, height, width = convolutions(torch.zeros(1, channels, *size)).shape
+        except RuntimeError:  # a kernel is larger than its input
+            height = width = 0
+        if height * width < 2:
+            raise UsageError(
+                f"encoder: images of {size[0]}x{size[1]} pixels are too small for kernels {self.kernels} with strides "
+                f"{self.strides}: give larger images (`image_size` of a LeRobot store) or smaller kernels and strides"
+            )
         if self.pool == "spatial_softmax":
             pool: nn.Module = SpatialSoftmax(depth, height, width)
             inputs = 4 * depth

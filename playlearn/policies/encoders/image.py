@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from playlearn.batch import Inputs
 from playlearn.errors import UsageError
 from playlearn.policies.encoders.base import Encoder, Tokens
-from playlearn.policies.encoders.cameras import CamerasConfig, pixels, random_shift
+from playlearn.policies.encoders.cameras import CamerasConfig, PerCamera, pixels, random_shift
 from playlearn.policies.encoders.goal_state import GoalStateEncoder
 from playlearn.policies.encoders.objects import ObjectTokens, mlp
 from playlearn.policies.spec import Named, PolicySpec
@@ -95,12 +95,10 @@ class ImageEncoder(Encoder):
         size = spec.cameras[config.goal_camera]
         others = [camera for camera in config.cameras if camera != config.goal_camera]
         self.front = config.backbone(6 if self.fused else 3, size, fetch=fetch)
-        self.others = nn.ModuleDict(
-            {camera: config.backbone(3, spec.cameras[camera], fetch=fetch) for camera in others}
-        )
+        self.others = PerCamera({camera: config.backbone(3, spec.cameras[camera], fetch=fetch) for camera in others})
         features, state = config.features, len(spec.state_names)
         fed = config.cameras if config.feed_cameras is None else config.feed_cameras
-        self.project = nn.ModuleDict({camera: nn.Linear(features, width) for camera in fed})
+        self.project = PerCamera({camera: nn.Linear(features, width) for camera in fed})
         goal_fed = config.goal_camera in fed and not self.fused and "image" in config.goals
         self.project_goal = nn.Linear(features, width) if goal_fed else None
         # without a goal, with one, and where a goal may be either, with a goal state
@@ -123,7 +121,7 @@ class ImageEncoder(Encoder):
         config = self.config
         has_image = config.has_goal_image(inputs, generator)  # (B,)
         encoded = self._encode(inputs, keep & has_image, generator)
-        step_tokens = [project(encoded.cameras[camera]).unsqueeze(2) for camera, project in self.project.items()]
+        step_tokens = [project(encoded.cameras[camera]).unsqueeze(2) for camera, project in self.project.networks()]
 
         flag = keep.long() if len(config.goals) == 1 else keep * (2 - has_image.long())
         goal_token = self.goal_flag[flag]  # (B, D)
@@ -199,7 +197,7 @@ class ImageEncoder(Encoder):
             heatmaps[config.goal_camera] = maps[:, :steps]
             if goal is not None and not self.fused:
                 goal_heatmaps[config.goal_camera] = maps[:, -1]
-        for camera, backbone in self.others.items():
+        for camera, backbone in self.others.networks():
             frames = random_shift(inputs.images[camera], config.shift, generator)
             found, maps = self.run_backbone(backbone, pixels(frames.flatten(0, 1)))
             cameras[camera] = found.unflatten(0, (batch, steps))

@@ -108,7 +108,8 @@ class KeypointBackbone(nn.Module):
         y, x = torch.meshgrid(cell_centers(height), cell_centers(width), indexing="ij")
         self.register_buffer("cells", torch.stack([x.flatten(), y.flatten()], dim=1), persistent=False)  # (h w, 2)
         self.sharpness = nn.Parameter(torch.full((config.heatmaps, 1), self.SHARPNESS))
-        self.glimpses = Glimpses(config, blank.shape[1], size) if config.glimpse else None
+        read = config.glimpse, config.heatmaps, config.glimpse_features
+        self.glimpses = Glimpses(*read, blank.shape[1], size) if config.glimpse else None
         found = channels + 3 + (self.glimpses.features if self.glimpses else 0)  # under each heatmap
         self.project = nn.Linear(config.heatmaps * found, config.features)
 
@@ -137,14 +138,15 @@ class Glimpses(nn.Module):
 
     CHANNELS, KERNEL, STRIDE = 32, 5, 2
 
-    def __init__(self, config: KeypointsConfig, channels: int, size: tuple[int, int]) -> None:
+    def __init__(self, side: int, count: int, features: int, channels: int, size: tuple[int, int]) -> None:
+        """side: of a square in pixels. count: K. features: of a square, beside its center."""
         super().__init__()
-        self.side, self.features = config.glimpse, config.glimpse_features + 2
+        self.side, self.features = side, features + 2
         self.convolution = channels_last(nn.Conv2d(channels, self.CHANNELS, self.KERNEL, self.STRIDE))
         inputs = self.CHANNELS * ((self.side - self.KERNEL) // self.STRIDE + 1) ** 2
-        weight = torch.randn(config.heatmaps, inputs, config.glimpse_features) * (2 / inputs) ** 0.5  # He et al. 2015
+        weight = torch.randn(count, inputs, features) * (2 / inputs) ** 0.5  # He et al. 2015
         self.weight = nn.Parameter(weight)
-        self.bias = nn.Parameter(torch.zeros(config.heatmaps, 1, config.glimpse_features))
+        self.bias = nn.Parameter(torch.zeros(count, 1, features))
         height, width = size
         self.register_buffer("size", torch.tensor([width, height]), persistent=False)
 

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from playlearn.batch import Inputs
 from playlearn.errors import UsageError
 from playlearn.policies.encoders.base import Encoder, EncoderConfig, Tokens
-from playlearn.policies.encoders.cameras import CamerasConfig, channels_last, pixels, random_shift
+from playlearn.policies.encoders.cameras import CamerasConfig, PerCamera, channels_last, pixels, random_shift
 from playlearn.policies.encoders.goal_state import GoalStateEncoder
 from playlearn.policies.encoders.objects import mlp
 from playlearn.policies.spec import PolicySpec
@@ -59,9 +59,9 @@ class TokensEncoder(Encoder):
         super().__init__()
         self.config = config
         self.step_tokens = config.tokens * len(config.cameras) + 1
-        self.backbones = nn.ModuleDict({camera: ConvBackbone(config, config.hidden) for camera in config.cameras})
+        self.backbones = PerCamera({camera: ConvBackbone(config, config.hidden) for camera in config.cameras})
         seen = config.channels[-1] + 2
-        self.out_proj = nn.ModuleDict({camera: nn.Linear(seen, width) for camera in config.cameras})
+        self.out_proj = PerCamera({camera: nn.Linear(seen, width) for camera in config.cameras})
         self.proprio = mlp(len(spec.state_names), config.hidden, width)
         self.goal_flag = nn.Parameter(torch.randn(1 + len(config.goals), config.hidden) * 0.02)
         self.goal_backbone: nn.Module | None = None
@@ -86,7 +86,7 @@ class TokensEncoder(Encoder):
         goal = self._goal(inputs, goal_frame, keep, has_image)  # (B, W)
         condition = goal.repeat_interleave(steps, dim=0)  # (B T, W)
         tokens = []
-        for camera, backbone in self.backbones.items():
+        for camera, backbone in self.backbones.networks():
             images = frames[camera]
             if camera != config.goal_camera or goal_frame is None:
                 images = random_shift(images, config.shift, generator)

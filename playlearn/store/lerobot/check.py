@@ -163,6 +163,7 @@ def _format_problems(root: Path, problems: Sequence[Problem], whole: int, total:
         lines.append(f"{whole} of {total} episodes can be used as they are: `skip_broken: true`")
     if without_images > whole:
         lines.append(f"{without_images} of {total} without their images: `without_images: true`")
+        lines.append(f"what these allow: `playlearn info {root} --without-images`")
     if whole or without_images:
         lines.append("(in the `store` block of a config, or as `--store.skip_broken true` after `--store.root FOLDER`)")
     return "\n".join(lines)

@@ -1,6 +1,6 @@
 """Config of a LeRobot dataset that is read as play."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -60,6 +60,9 @@ class LeRobotStoreConfig(StoreConfig):
     @classmethod
     def at(cls, folder: Path) -> "LeRobotStoreConfig | None":
         return cls(root=folder) if (folder / "meta" / "info.json").is_file() else None
+
+    def without_objects(self) -> "LeRobotStoreConfig":
+        return replace(self, achieved="", goal_names=None, success=None)
 
     def build(self) -> "LeRobotStore":
         # Slow to import, and every command imports the stores' configs.

@@ -13,7 +13,8 @@ Skills can stand as LeRobot's subtask annotation instead, `language_persistent`;
 is optional: LeRobot's own viewer (0.6.1) and PyTorch's default collate cannot take such a column.
 
 An episode of T actions becomes T frames: LeRobot has no place for the observation after the last action. It and
-whatever else it has no column for are written to sidecar files, see `sidecar.py`.
+whatever else it has no column for are written to sidecar files, see `sidecar.py`. What others recorded with an action
+at its last observation (`EpisodeMeta.unobserved_step`) has the T + 1 frames that it had.
 """
 
 from collections.abc import Mapping
@@ -37,7 +38,7 @@ type Features = dict[str, dict[str, Any]]
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """One LeRobot episode of T frames.
+    """One LeRobot episode of T frames, here the number of its rows.
 
     columns: key -> (T, ...).
     tasks: T names.
@@ -105,23 +106,31 @@ class Play:
 
     def entry(self, i: int) -> Entry:
         episode = self.store.read(i)
-        success = np.zeros((len(episode), 1), np.bool_)
+        after = episode.meta.unobserved_step
+        rows = len(episode) + bool(after)
+        success = np.zeros((rows, 1), np.bool_)
         success[-1] = episode.meta.success
-        columns = steps(episode, 0, len(episode)) | ({SUCCESS: success} if self.has_success else {})
+        columns = steps(episode, 0, rows) | ({SUCCESS: success} if self.has_success else {})
         if self.has_reward and episode.reward is not None:
-            columns[NEXT_REWARD] = episode.reward[:, None].astype(np.float32)
+            rewards = np.append(episode.reward, after.get("reward", []))
+            columns[NEXT_REWARD] = rewards[:, None].astype(np.float32)
         sidecar = int(self.store.indices()[i]), episode
         annotation = subtasks(episode, 0, len(episode)) if self.annotated else ()
-        return Entry(columns, tasks(episode, annotated=self.annotated), annotation, sidecar)
+        own = tasks(episode, annotated=self.annotated)
+        return Entry(columns, own + own[-1:] * bool(after), annotation, sidecar)
 
 
 def steps(episode: Episode, begin: int, end: int) -> dict[str, Array]:
-    """The columns of steps begin ... end-1 that every dataset has."""
+    """The columns of steps begin ... end-1 that every dataset has; an unobserved step is the last one."""
+    action, intervention = episode.expert_action, episode.intervention
+    if episode.meta.unobserved_step:
+        action = np.append(action, np.array([episode.meta.unobserved_step["action"]], np.float32), axis=0)
+        intervention = np.append(intervention, False)
     columns = {
         STATE: episode.state[begin:end],
         ACHIEVED: episode.achieved[begin:end],
-        ACTION: episode.expert_action[begin:end],
-        INTERVENTION: episode.intervention[begin:end, None],
+        ACTION: action[begin:end],
+        INTERVENTION: intervention[begin:end, None],
         **{IMAGES + camera: frames[begin:end] for camera, frames in episode.images.items()},
     }
     return {key: column for key, column in columns.items() if column.shape[1]}  # LeRobot cannot write an empty column

@@ -14,6 +14,7 @@ from PIL import Image, UnidentifiedImageError
 
 from playlearn.episode import Array
 from playlearn.errors import StoreError
+from playlearn.picture import resized
 from playlearn.store.lerobot.features import Camera, Size
 from playlearn.store.lerobot.metadata import INFO, UNREADABLE, Clip, DatasetMetadata, Row, first_line
 
@@ -30,11 +31,6 @@ def decode_episode(metadata: DatasetMetadata, row: Row, sizes: Mapping[str, Size
     stored_images = {name: metadata.cameras[name] for name in sizes if name not in videos}
     frames = {name: _decode_video(metadata.root, row, row.clips[name], metadata.fps, sizes[name]) for name in videos}
     return frames | (_decode_images(metadata.root, row, stored_images, sizes) if stored_images else {})
-
-
-def resized(picture: Array, size: Size) -> Array:
-    """The picture (h, w, 3) uint8 resized to (height, width)."""
-    return picture if picture.shape[:2] == size else np.asarray(Image.fromarray(picture).resize(size[::-1]))
 
 
 def check_size(camera: Camera, found: Size, size: Size, where: Path | str) -> None:

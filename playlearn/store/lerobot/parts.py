@@ -21,15 +21,24 @@ def read_features(metadata: DatasetMetadata, state: str, achieved: str, action: 
     """
     features, where = metadata.features, metadata.root / INFO
     wanted = {"state": state, "achieved": achieved, "action": action}
+    if action in (state, achieved):
+        given = "state" if action == state else "achieved"
+        raise StoreError(
+            f"{where}: {action!r} is named as `action` and as `{given}`: a policy would be shown what it is to "
+            f"predict; name another feature as `{given}`"
+        )
     vectors = [key for key, one in features.items() if is_numeric(one["dtype"]) and key not in BOOKKEEPING]
     found = {}
     for part, key in wanted.items():
         if key not in features:
             if part == "achieved" and key in ("", ACHIEVED):
                 continue  # the default, which a robot without sensors of objects does not have
-            known = ", ".join(vectors)
+            taken = state if part == "action" else action
+            known = ", ".join(other for other in vectors if other != taken)
+            does = f"it has {known}: set `{part}` to one of them (one is read: join several in a copy of the dataset)"
             raise StoreError(
-                f"{metadata.root} has no feature {key!r} for the {part}; it has {known or 'no vectors'}: set `{part}`"
+                f"{metadata.root} has no feature {key!r} for the {part}; "
+                + (does if known else "it has no other vector of numbers, so that it cannot be learned from")
             )
         try:
             vector_size(key, features[key])

@@ -5,7 +5,8 @@ the same is in `remarks`. A video is decoded once, an episode at a time when its
 is memory-mapped from then on. The file is written whole or not at all, so that a killed run goes on where it was.
 
     frames     0     1     2   ...   n-1     a dataset with sidecars: T = n, the last observation is in the sidecar
-    actions    0     1     2   ...   n-1     any other: T = n - 1, the observation after its last action is missing
+    actions    0     1     2   ...   n-1     any other: T = n - 1, the observation after its last action is missing;
+                                             that action is the episode's `unobserved_step`
 """
 
 import dataclasses
@@ -22,12 +23,13 @@ from numpy.typing import NDArray
 from playlearn.config import digest, make_folder
 from playlearn.episode import IMAGES, REWARD, STORED, Array, Episode, EpisodeMeta
 from playlearn.errors import DiskError, EpisodeError, StoreError, UsageError
+from playlearn.picture import resized
 from playlearn.quantity import Quantities, subset
 from playlearn.store.base import StoreSpec, spec_digest, summary
 from playlearn.store.lerobot import check, sidecar
 from playlearn.store.lerobot.content import NEXT_REWARD, SUCCESS
 from playlearn.store.lerobot.features import Size
-from playlearn.store.lerobot.frames import decode_episode, resized
+from playlearn.store.lerobot.frames import decode_episode
 from playlearn.store.lerobot.metadata import DatasetMetadata, Row, load_metadata
 from playlearn.store.lerobot.parts import OUTCOMES, VECTORS, left_out, read_features
 from playlearn.store.lerobot.subtasks import EVENTS, PERSISTENT
@@ -127,6 +129,7 @@ class LeRobotStore:
             verbatim=True,
             success=success,
             quantities=self.spec.quantities,
+            unobserved_step=self._unobserved_step(row),
         )
 
     def read(self, i: int) -> Episode:
@@ -194,8 +197,14 @@ class LeRobotStore:
             raise StoreError(f"{self.path} has {len(self)} episodes, counted from 0: there is no episode {i}")
         return self._rows[i]
 
+    def _unobserved_step(self, row: Row) -> dict[str, Any]:
+        """The last frame's, see `EpisodeMeta`."""
+        columns = self._columns[row.index]
+        step: dict[str, Any] = {"action": columns[self._keys["action"]][-1].tolist()}
+        return step | ({"reward": float(columns[self._keys["reward"]][-1, 0])} if "reward" in self._keys else {})
+
     def _steps(self, row: Row) -> int:
-        return row.length if self._has_sidecars else row.length - 1
+        return self._sidecars[row.index].steps if self._has_sidecars else row.length - 1
 
     def _spec(self) -> StoreSpec:
         if self._has_sidecars:
@@ -215,7 +224,7 @@ class LeRobotStore:
             return arrays[key]
         columns = self._columns[row.index]
         if key == STORED["expert_action"]:
-            return columns[self._keys["action"]]
+            return columns[self._keys["action"]][: self._steps(row)]
         for part in ("state", "achieved"):
             if key == STORED[part]:
                 empty = np.zeros((row.length, 0), np.float32)
@@ -295,6 +304,8 @@ class LeRobotStore:
             arrays = self._sidecars[row.index].arrays()
             for name, (height, width) in self._sizes.items():
                 key = IMAGES + name
+                if sidecar.LAST + key not in arrays:
+                    continue
                 last = {sidecar.LAST + key: resized(arrays[sidecar.LAST + key], (height, width))}
                 frames[key] = sidecar.joined(frames[key], last, key)
         try:
@@ -327,7 +338,7 @@ class LeRobotStore:
         for row in metadata.rows:
             own = self._sidecars[row.index]
             try:
-                same = own.steps == row.length
+                same = own.steps + bool(own.meta.unobserved_step) == row.length
                 message = "" if same else f"{own.path} is of {own.steps} steps, the episode of {row.length}"
             except StoreError as error:
                 message = str(error)

@@ -1,7 +1,8 @@
 """Sidecar files: what LeRobot has no column for, one file an episode, so that a store reads back as it was.
 
     meta/playlearn/000007.safetensors    the 8th episode of the dataset: what was executed where it is not the label,
-                                         simulator states, skills, time, the observation after the last action
+                                         simulator states, skills, time, the observation after the last action (not
+                                         where an unobserved step made a frame of it)
 
 LeRobot's own tools leave the folder behind when they write a dataset anew (split, merge); what they write is then read
 as any other dataset.
@@ -29,7 +30,8 @@ def write(root: Path, entry: int, index: int, episode: Episode) -> None:
     """Write the sidecar of an episode that was recorded under `index` and is the dataset's episode `entry`."""
     arrays = episode.arrays()
     copied = {key: arrays[key] for key in (*COPIED, REWARD) if key in arrays}
-    copied |= {LAST + key: arrays[key][-1] for key in arrays if key in OBSERVED or key.startswith(IMAGES)}
+    if not episode.meta.unobserved_step:
+        copied |= {LAST + key: arrays[key][-1] for key in arrays if key in OBSERVED or key.startswith(IMAGES)}
     (root / FOLDER).mkdir(parents=True, exist_ok=True)
     write_tensors(_path(root, entry), copied, {"meta": to_json(episode.meta), "index": str(index)})
 
@@ -75,8 +77,8 @@ class Sidecar:
 
 
 def joined(rows: Array, arrays: Mapping[str, Array], key: str) -> Array:
-    """(T+1, ...): the T rows of an observation that LeRobot has, and the last one."""
-    return np.concatenate([rows, arrays[LAST + key][None]])
+    """(T+1, ...): the rows of an observation that LeRobot has, and the last one where it is not among them."""
+    return np.concatenate([rows, arrays[LAST + key][None]]) if LAST + key in arrays else rows
 
 
 def _path(root: Path, entry: int) -> Path:
