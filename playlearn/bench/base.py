@@ -76,6 +76,9 @@ class Size:
     episodes: of the growing store.
     envs: environments that are stepped and rendered.
     out: folder for pictures (None: none are written).
+    store: play that records `achieved`, for `settled`.
+    cameras: those of the store that stand still, for `settled` (none: it reads the robot alone).
+    picture: file for the misses of `settled` (None: none is written).
     """
 
     steps: int = 200
@@ -83,6 +86,9 @@ class Size:
     episodes: int = 1000
     envs: tuple[str, ...] = ("playtable", "lift")
     out: Path | None = None
+    store: Path | None = None
+    cameras: tuple[str, ...] = ()
+    picture: Path | None = None
 
 
 Benchmark = Callable[[Size], Iterator[Figure]]
@@ -108,6 +114,7 @@ BENCHMARKS: dict[str, Benchmark] = {
         "data": "reading",
         "grow": "growing",
         "render": "rendering",
+        "settled": "settling",
         "sim": "stepping",
         "start": "starting",
         "threads": "loaded",
@@ -115,6 +122,7 @@ BENCHMARKS: dict[str, Benchmark] = {
         "workers": "spreading",
     }.items()
 }
+_ON_A_STORE = ("settled",)  # measured only where they are named
 _PER_ENV = ("render", "sim")  # a process for each environment
 
 
@@ -132,7 +140,7 @@ def run(names: Sequence[str], size: Size, report: Callable[[Figure], None]) -> l
             raise UsageError(f"there is no benchmark {name!r}{nearest(name, tuple(BENCHMARKS))}")
     limit()
     figures = []
-    for name in names or tuple(BENCHMARKS):
+    for name in names or tuple(name for name in BENCHMARKS if name not in _ON_A_STORE):
         sizes = [replace(size, envs=(env,)) for env in size.envs] if name in _PER_ENV else [size]
         for part in sizes:
             measuring(f"{name}{f', {part.envs[0]}' if name in _PER_ENV else ''}: starting")

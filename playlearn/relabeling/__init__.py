@@ -9,6 +9,7 @@ from playlearn.relabeling.final_settled import FinalSettledConfig
 from playlearn.relabeling.fixed import FixedConfig
 from playlearn.relabeling.geometric import GeometricConfig
 from playlearn.relabeling.hand import EVENTS, events_ahead, grasps
+from playlearn.relabeling.images import ImagesConfig
 from playlearn.relabeling.index import RelabelIndex, robot_reader
 from playlearn.relabeling.mixture import MixtureConfig, WeightedSampler
 from playlearn.relabeling.random import RandomConfig
@@ -28,6 +29,7 @@ __all__ = [
     "GeometricConfig",
     "GoalSampler",
     "GoalSamplerConfig",
+    "ImagesConfig",
     "MixtureConfig",
     "RandomConfig",
     "RelabelIndex",

@@ -1,4 +1,4 @@
-"""What relabeling reads of a store: lengths, and the settled moments, from `achieved` (or the robot) alone.
+"""What relabeling reads of a store: lengths, and the settled moments, from `achieved` (or robot and images) alone.
 
 One episode of T actions, in which the achieved goal A changes to B and to C:
 
@@ -18,17 +18,19 @@ Flat numbering: step t of episode e is `starts[e] + t` (0 <= t < T_e), observati
 row `rows[e] + o` (0 <= o <= T_e), and the settled moments of all episodes stand one after another.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from playlearn.episode import STORED, Array
+from playlearn.episode import IMAGES, STORED, Array
 from playlearn.layout import ObjectLayout
 from playlearn.quantity import Quantities, continuous, difference, subset
 from playlearn.relabeling.calibrate import ranges
+from playlearn.relabeling.images import NAMES as IMAGE_NAMES
+from playlearn.relabeling.images import ImageReader
 from playlearn.relabeling.robot import NAMES, RobotReader
 from playlearn.relabeling.settling import SettlingConfig, thresholds
 
@@ -58,6 +60,7 @@ class Recordings(Protocol):
     def spec(self) -> Spec: ...
     def __len__(self) -> int: ...
     def array(self, i: int, key: str) -> Array: ...
+    def cameras(self) -> Mapping[str, tuple[int, int]]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,11 +133,12 @@ class RelabelIndex:
         """The index of a store's episodes, numbered by their place in `episodes` (None: all of them).
 
         goal_names: patterns of the achieved dimensions in which to look for change and rest; where they choose none,
-            moments are read from the robot.
+            moments are read from the robot, and from the images where the source says so.
         learned: the episodes on which thresholds of null are measured (None: all).
 
         Raises:
-            UsageError: a threshold is missing or not positive, a pattern matches nothing.
+            UsageError: a threshold is missing or not positive, a pattern matches nothing, a camera is not named or
+                not there.
         """
         spec, every = store.spec, range(len(store))
         episodes, learned = every if episodes is None else episodes, learned or every
@@ -143,11 +147,18 @@ class RelabelIndex:
             return (store.array(int(i), key) for i in of)
 
         chosen = ObjectLayout(spec.achieved_names).select(goal_names)
-        if settling.source == "robot" or not chosen:
+        if settling.source != "achieved" or not chosen:
             reader = robot_reader(store, settling, learned)
             states = list(rows(episodes, STATE))
-            lengths, found = [len(state) - 1 for state in states], [reader(state) for state in states]
-            return cls._of(lengths, found, NAMES, ("", ""), spec.fps, NONE)
+            lengths = [len(state) - 1 for state in states]
+            if settling.source != "images":
+                return cls._of(lengths, [reader(state) for state in states], NAMES, ("", ""), spec.fps, NONE)
+            cameras, seeing = settling.images.chosen(tuple(store.cameras())), ImageReader(reader, spec.fps)
+            seen = [
+                seeing(state, [store.array(int(i), IMAGES + camera) for camera in cameras])
+                for i, state in zip(episodes, states, strict=True)
+            ]
+            return cls._of(lengths, seen, IMAGE_NAMES, ("",) * len(IMAGE_NAMES), spec.fps, NONE)
         names = [spec.achieved_names[k] for k in chosen]
         declared = subset(spec.quantities.of("achieved", len(spec.achieved_names)), chosen)
         settling = settling.measured((one[:, chosen] for one in rows(learned, ACHIEVED)), names, declared, spec.fps)

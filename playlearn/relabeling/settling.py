@@ -12,6 +12,7 @@ from playlearn.episode import Array
 from playlearn.errors import UsageError
 from playlearn.quantity import kind
 from playlearn.relabeling.calibrate import SWITCHED, measure
+from playlearn.relabeling.images import ImagesConfig
 from playlearn.relabeling.robot import RobotConfig
 
 Thresholds = dict[str, float | None]
@@ -25,9 +26,11 @@ class SettlingConfig:
         far a dimension moves before it has changed, in its own unit.
     rest: pattern or kind -> the range within which a dimension stays while at rest.
     rest_seconds: for how long it must stay there.
-    source: what settled moments are read from: `achieved`, or `robot`, gripper and arm with measured thresholds, which
-        is also used wherever `achieved` is empty (recordings of a real robot).
+    source: what settled moments are read from: `achieved`; `robot`, gripper and arm with measured thresholds, which is
+        also used wherever `achieved` is empty (recordings of a real robot); or `images`, these and what cameras that
+        stand still show of what a shut gripper did.
     robot: which numbers are gripper and arm.
+    images: which cameras.
 
     `default` covers every name that nothing else matches; of several that match, the last one counts. A threshold of
     null is measured on the play (see `calibrate.measure`): `{default: null}` measures all of them.
@@ -42,8 +45,9 @@ class SettlingConfig:
     change: Thresholds = field(default_factory=lambda: _of_kinds(length=0.015, turn=0.15))
     rest: Thresholds = field(default_factory=lambda: _of_kinds(length=0.004, turn=0.05))
     rest_seconds: float = 0.3
-    source: Literal["achieved", "robot"] = "achieved"
+    source: Literal["achieved", "robot", "images"] = "achieved"
     robot: RobotConfig = field(default_factory=RobotConfig)
+    images: ImagesConfig = field(default_factory=ImagesConfig)
 
     def window(self, fps: float) -> int:
         """rest_seconds in steps."""

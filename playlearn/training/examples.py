@@ -136,7 +136,7 @@ class RunExamples:
 def store_remarks(config: TrainConfig, store: Store) -> list[str]:
     """What of the store is left out or called otherwise, and where goals come from if it records no objects."""
     settling = config.data.settling
-    robot = settling.source == "robot" or not store.spec.achieved_names
+    robot = settling.source != "achieved" or not store.spec.achieved_names
     goals = [settling.robot.describe(store.spec.state_names)] if robot else []
     return [*(f"{name}: {remark}" for name, remark in store.remarks().items()), *goals]
 

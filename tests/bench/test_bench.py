@@ -31,7 +31,7 @@ APART = (
     "collect",
     "render",
 )  # robosuite draws in them; the others are measured in this process, which has LeRobot's imports
-TINY = Size(steps=2, rounds=1, episodes=4, envs=("lift",))
+TINY = Size(steps=2, rounds=1, episodes=4, envs=("lift",), store=SAMPLE)
 
 
 @pytest.mark.filterwarnings("ignore")  # what LeRobot and the packages below it warn of is theirs to fix

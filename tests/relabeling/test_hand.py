@@ -17,14 +17,14 @@ class Spec:
 
 
 class Play:
-    """One episode: shut at 20 on nothing, open at 30; shut at 40, carried, open at 70; still, and away."""
+    """One episode: shut at 20, carried, open at 30; shut at 40, carried, open at 70; still, and away."""
 
     spec = Spec()
 
     def __init__(self) -> None:
         opening = np.full(121, OPEN)
         opening[20:30] = opening[40:70] = SHUT
-        x = np.interp(np.arange(121), [0, 20, 30, 40, 70, 80, 110], [0, 0.2, 0.2, 0.3, 0.6, 0.6, 0.0])
+        x = np.interp(np.arange(121), [0, 20, 30, 40, 70, 80, 110], [0, 0.2, 0.4, 0.3, 0.6, 0.6, 0.0])
         self.state = np.stack([x, opening], 1).astype(np.float32)
 
     def __len__(self) -> int:

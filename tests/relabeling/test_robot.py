@@ -27,8 +27,9 @@ def found(state: np.ndarray, names: tuple[str, ...] = NAMES, config: RobotConfig
     return RobotReader.measured([state], names, ("",) * len(names), FPS, config or RobotConfig())(state)
 
 
-# Grasped in 20 ... 23, carried 0.3 m over 30 ... 59, still; let go in 80 ... 83; back over 90 ... 119; still.
-CARRIED = robot((20, 0, OPEN), (4, 0, BLOCK), (6, 0, BLOCK), (30, 0.3, BLOCK), (20, 0.3, BLOCK), (4, 0.3, OPEN))
+# Grasped in 20 ... 23, carried 0.3 m over 30 ... 59, still; 0.1 m on over 80 ... 89; let go in 90 ... 93; back; still.
+GRASPED = ((20, 0, OPEN), (4, 0, BLOCK), (6, 0, BLOCK), (30, 0.3, BLOCK), (20, 0.3, BLOCK))
+CARRIED = robot(*GRASPED, (10, 0.4, BLOCK), (4, 0.4, OPEN))
 CARRIED = np.concatenate(
     [CARRIED, robot((6, 0, OPEN), (30, -0.3, OPEN), (30, -0.3, OPEN)) + CARRIED[-1] * [1, 0, 0, 0, 0]]
 )
@@ -40,11 +41,55 @@ def test_a_thing_settles_where_the_arm_stops_with_it_and_where_it_is_let_go() ->
     stopped, opened = moments
     # The arm stands from 59 on; half a second is 10 steps, and the last steps of 1 cm each are no rest.
     assert 66 <= stopped <= 70
-    # The fingers open over 80 ... 83: finished within `opens` of their widest, which is less than one step's 1 cm.
-    assert opened == 83
+    # The fingers open over 90 ... 93: finished within `opens` of their widest, which is less than one step's 1 cm.
+    assert opened == 93
     assert kinds == [[False, True], [True, False]]
-    # What is held stays until it is let go; that stays, since the hand closes no more.
-    assert ends == [82, len(CARRIED) - 1]
+    # What is held stays until it is carried on by 1 cm a step; what was let go stays, since the hand closes no more.
+    assert ends[0] == 79
+    assert ends[1] == len(CARRIED) - 1
+
+
+def test_what_is_let_go_where_the_arm_had_stopped_has_settled_once() -> None:
+    """Nothing has changed when the fingers open, and it stays until they close again, over 190 ... 193."""
+    released = robot(*GRASPED, (4, 0.3, OPEN), (40, 0.1, OPEN), (66, 0.1, OPEN), (4, 0.1, SHUT), (10, 0.1, SHUT))
+    moments, ends, kinds = found(released)
+    assert moments == found(CARRIED)[0][:1]
+    assert kinds == [[False, True]]
+    assert 189 <= ends[0] <= 192
+
+
+@pytest.mark.parametrize("pieces", [((4, 0, SHUT), (20, 0, SHUT), (4, 0, OPEN)), ((3, 0.0, BLOCK), (3, 0.1, OPEN))])
+def test_a_grasp_that_failed_has_settled_nothing(pieces: tuple[tuple[int, float, float], ...]) -> None:
+    """The fingers open where they closed; or they open at once, though the arm is on its way."""
+    before, after = (20, 0.0, OPEN), (20, 0.5, OPEN)
+    play = [robot(before, *pieces, after), CARRIED]
+    reader = RobotReader.measured(play, NAMES, ("",) * len(NAMES), FPS, RobotConfig())
+    assert reader(play[0])[0] == []
+    assert len(reader(play[1])[0]) == 2
+
+
+def test_a_hand_that_trembles_by_less_than_a_tenth_of_its_range_stays_shut() -> None:
+    """OGBench's fingers do while they press a button, by 8 % of their range."""
+    press = robot((20, 0, OPEN), (4, 0, SHUT), (20, 0.2, SHUT), (40, 0.2, SHUT), (4, 0.2, OPEN), (20, 0, OPEN))
+    trembling = press.copy()
+    trembling[46:70:2, 4] += 0.0075
+    assert found(trembling)[0] == found(press)[0]
+
+
+@pytest.mark.parametrize("closes", [None, "high"])
+def test_a_gripper_that_closes_at_high_numbers_finds_the_same(closes: str | None) -> None:
+    """In percent, as SO-101's could be: measured, for an object stops fingers only on their way to closing; or said."""
+
+    def moments(play: list[np.ndarray], config: RobotConfig) -> list[list[int]]:
+        reader = RobotReader.measured(play, NAMES, ("",) * len(NAMES), FPS, config)
+        return [reader(state)[0] for state in play]
+
+    play = [CARRIED, robot((20, 0, OPEN), (10, 0, SHUT), (20, 0.2, SHUT), (40, 0.2, SHUT), (10, 0.2, OPEN))]
+    percent = [state * np.float32([1, 1, 1, 1, -1250]) + np.float32([0, 0, 0, 0, 100]) for state in play]
+    expected = moments(play, RobotConfig())
+    assert [len(one) for one in expected] == [2, 1]
+    assert moments(percent, RobotConfig(gripper_closes=closes)) == expected
+    assert moments(percent, RobotConfig(gripper_closes="low")) != expected
 
 
 def test_a_hand_that_stops_open_in_mid_air_has_settled_nothing() -> None:

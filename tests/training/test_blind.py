@@ -68,7 +68,10 @@ def blind(play: Path, encoder: str, **more: Any) -> TrainConfig:
 
 
 @pytest.mark.parametrize("encoder", ["state", "cnn", pytest.param("hand", marks=pytest.mark.slow)])
-def test_what_is_hidden_changes_no_bit_of_the_weights(encoder: str, play: Path, tmp_path: Path) -> None:
+def test_what_is_hidden_changes_no_bit_of_the_weights(
+    encoder: str, play: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("playlearn.data.projection.FEWEST", 1)
     other, weights = spoiled(play, tmp_path / "spoiled"), []
     for number, store in enumerate((play, other)):
         extra = {"extra_datasets": [{"store": str(store), "fraction": 0.5}]}
