@@ -44,6 +44,11 @@ def read_picture(path: Path, size: Size, *, keep_aspect: bool = True) -> Picture
     return resized(picture, size)
 
 
+def fits(found: Size, size: Size) -> bool:
+    """Whether a picture of the size `found` can be scaled to `size`: it is no smaller, and of the same shape."""
+    return found[0] >= size[0] and found[1] >= size[1] and abs(found[0] * size[1] / (found[1] * size[0]) - 1) <= ASPECT
+
+
 def check_picture(picture: object, size: Size, what: str) -> None:
     """Raises UsageError where an array is no picture (h, w, 3) uint8 of this size. what: it is, for the message."""
     array = np.asarray(picture)

@@ -1,4 +1,4 @@
-"""LeRobot v3.0 datasets as they lie on disk, written without LeRobot: any `info.json`, any columns."""
+"""LeRobot datasets as they lie on disk, written without LeRobot: any `info.json`, any columns; v3.0 or v2.1."""
 
 import io
 import json
@@ -90,6 +90,37 @@ def write_dataset(
         "features": {**features, **BOOKKEEPING},
     }
     (root / "meta" / "info.json").write_text(json.dumps(info))
+    return root
+
+
+def as_version21(source: Path, root: Path) -> Path:
+    """The dataset of `source`, which `write_dataset` wrote, in the layout of v2.1, as LeRobot 0.3 wrote it."""
+    table, info = pq.read_table(source / DATA), json.loads((source / "meta" / "info.json").read_text())
+    tasks = pq.read_table(source / TASKS).to_pylist()
+    owner, lengths = np.asarray(table["episode_index"]), pq.read_table(source / EPISODES)["length"].to_pylist()
+    for k in range(len(lengths)):
+        path = root / f"data/chunk-000/episode_{k:06d}.parquet"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        pq.write_table(table.filter(pa.array(owner == k)), path)
+    stats = {"action": {name: [1.0] for name in ("min", "max", "mean", "std")} | {"count": [lengths[0]]}}
+    lines = {
+        "episodes": [{"episode_index": k, "tasks": [], "length": n} for k, n in enumerate(lengths)],
+        "episodes_stats": [{"episode_index": k, "stats": stats} for k in range(len(lengths))],
+        "tasks": tasks,
+    }
+    (root / "meta").mkdir()
+    for name, entries in lines.items():
+        (root / f"meta/{name}.jsonl").write_text("".join(json.dumps(entry) + "\n" for entry in entries))
+    own = {
+        "codebase_version": "v2.1",
+        "total_chunks": 1,
+        "total_videos": 0,
+        "chunks_size": 1000,
+        "splits": {"train": f"0:{len(lengths)}"},
+        "data_path": "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet",
+        "video_path": "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4",
+    }
+    (root / "meta" / "info.json").write_text(json.dumps(info | own))
     return root
 
 

@@ -60,6 +60,9 @@ class DataConfig:
     max_label_deviation: a chunk ends with the first step at which the executed action differs from its label by more
         than this in some dimension (a mistake, a pause, a slip): later labels are conditioned on a state that the
         labeled actions would not have led to, so they are masked.
+    interventions_only: whether only steps at which an expert took over are learned from (HG-DAgger): a chunk ends with
+        the last of them in a row. For recordings of a policy and who corrected it, whose other actions are the
+        policy's own; goals are drawn from the whole episode.
     target: `actions`, the recorded labels; `next_settled_delta`, the change of `achieved` up to the next settled
         moment, as a chunk of 1: what a high-level policy learns, which proposes subgoals.
     allow_detours: whether a change counts after which no fewer objects differ from the goal (`next_settled_delta`
@@ -79,6 +82,7 @@ class DataConfig:
     balance: float = 0.0
     failure_fraction: float = 1.0
     max_label_deviation: float = 0.5
+    interventions_only: bool = False
     target: Literal["actions", "next_settled_delta"] = "actions"
     allow_detours: bool = True
 
@@ -123,6 +127,7 @@ class PlayDataset(Examples):
                 "there is no change to learn; leave target at actions"
             )
         self._goal_dimensions = ObjectLayout(store.spec.achieved_names).select(config.goal_names)
+        self._corrected = self._corrections()
         self._last = self._last_of_chunk(executed)
         self._closed = self._grasps(train) if config.events else None
         self._sampler = config.goals.build()
@@ -270,20 +275,31 @@ class PlayDataset(Examples):
     def _last_of_chunk(self, executed: Sequence[Array]) -> Indices:
         """(sum T,) the last step t' >= t whose label is conditioned on what executing the labels from t on leads to."""
         deviates = np.abs(np.concatenate(executed) - self.action).max(axis=1) > self.config.max_label_deviation
-        steps = np.arange(len(deviates))
-        first = np.minimum.accumulate(np.where(deviates, steps, len(deviates))[::-1])[::-1]  # flat, at or after each
+        ends = deviates | ~np.append(self._corrected[1:], True)
+        steps = np.arange(len(ends))
+        first = np.minimum.accumulate(np.where(ends, steps, len(ends))[::-1])[::-1]  # flat, at or after each
         start = np.repeat(self.table.starts[:-1], self.table.lengths)
         return np.asarray(first - start, np.int64)  # may point past the episode, whose end counts then
 
+    def _corrections(self) -> NDArray[np.bool_]:
+        """(sum T,) the steps that are learned from, see `DataConfig.interventions_only`."""
+        took_over = np.concatenate([self.store.array(int(i), "intervention") for i in self.episodes])
+        if self.config.interventions_only and not took_over.any():
+            raise StoreError(
+                f"{self.store.name()}: data.interventions_only, and nobody took over at any step (`intervention`): set "
+                "it to false, or name a store of corrections"
+            )
+        return took_over if self.config.interventions_only else np.ones(len(took_over), np.bool_)
+
     def _kept(self, t: Indices) -> NDArray[np.bool_]:
-        """(sum T,) all steps but the failing ones that `failure_fraction` leaves out."""
+        """(sum T,) the steps learned from but the failing ones that `failure_fraction` leaves out."""
         if self.config.failure_fraction >= 1:
-            return np.ones(len(t), np.bool_)
+            return self._corrected
         episodes = self.episodes.tolist()
         failing = [leads_to_failure(self.store.array(i, "skill"), self.store.meta(i).annotations()) for i in episodes]
         recorded = np.repeat(self.store.indices()[self.episodes], self.table.lengths)
         drawn = counter_uniforms(0, recorded, t, 1)[:, 0] < self.config.failure_fraction
-        return np.asarray(drawn | ~np.concatenate(failing))
+        return np.asarray(self._corrected & (drawn | ~np.concatenate(failing)))
 
     def _weights(self) -> NDArray[np.float64]:
         """(n,) the running sum of the examples' probabilities under `balance`."""

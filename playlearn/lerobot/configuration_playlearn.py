@@ -32,6 +32,7 @@ class PlaylearnConfig(PreTrainedConfig):  # type: ignore[misc]
     built: config and spec of a policy, as JSON; written by playlearn, and used instead of the recipe.
     n_action_steps: actions of a chunk that are executed before the next plan (null: half of the chunk).
     guidance: weight of the goal (null: no guidance).
+    goal: file with the goal image, for a robot, which observes no goals (null: goals are observed).
     seed: of the policy's noise when it acts.
     optimizer_lr: learning rate of AdamW.
     optimizer_weight_decay: of AdamW.
@@ -42,6 +43,7 @@ class PlaylearnConfig(PreTrainedConfig):  # type: ignore[misc]
     built: str | None = None
     n_action_steps: int | None = None
     guidance: float | None = None
+    goal: str | None = None
     seed: int = 0
     optimizer_lr: float = 5e-4
     optimizer_weight_decay: float = 1e-3

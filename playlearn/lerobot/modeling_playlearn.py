@@ -23,6 +23,7 @@ from playlearn.episode import IMAGES, Array, Goal, Observation
 from playlearn.errors import TrainingDiverged, UsageError
 from playlearn.lerobot.configuration_playlearn import ACHIEVED, STATE, PlaylearnConfig, features
 from playlearn.lerobot.goals import GOAL_IMAGES, GOAL_PROPRIO, GOAL_STATE
+from playlearn.picture import Size, fits, read_picture, resized
 from playlearn.policies import Policy, PolicySpec
 from playlearn.policies.checkpoint import first_not_finite
 from playlearn.policies.execution import PolicyActor
@@ -54,6 +55,9 @@ class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
             self.policy = _fresh(config, dataset_stats, dataset_meta)
             description = {"config": to_dict(self.policy.config), "spec": asdict(self.policy.spec)}
             config.built = json.dumps(description)
+        self._goal = self._goal_image()
+        given = {GOAL_IMAGES + camera for camera in self._goal}  # not asked of a robot, whose cameras LeRobot compares
+        config.input_features = {key: own for key, own in (config.input_features or {}).items() if key not in given}
         self._generator = torch.Generator().manual_seed(config.seed)
         self._updates = 0  # made so far, for what warms up
         self._actor: PolicyActor | None = None
@@ -137,6 +141,17 @@ class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
         frame = [f"{key.removesuffix('_index')} {int(batch[key][example])}" for key in FRAME if key in batch]
         return f"its data are to blame: {number} in {', '.join(frame) or f'example {example} of the batch'}"
 
+    def _goal_image(self) -> dict[str, Tensor]:
+        """Camera -> (h, w, 3) uint8 of the goal in a file, scaled as images of the play are; none without a file."""
+        if self.config.goal is None:
+            return {}
+        cameras = self.policy.config.encoder.goal_cameras
+        if len(cameras) != 1:
+            seen = f"through {len(cameras)} cameras ({', '.join(cameras)})" if cameras else "as states"
+            raise UsageError(f"policy.goal is one image, and this policy is shown goals {seen}: leave it out")
+        size = self.policy.spec.cameras[cameras[0]]
+        return {cameras[0]: torch.from_numpy(read_picture(Path(self.config.goal), size).copy())}
+
     def _check_config(self) -> None:
         """Raises UsageError where the config of a policy that is built lacks one of its inputs, as older exports do."""
         lacks = [
@@ -153,15 +168,19 @@ class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
     def _check(self, batch: Mapping[str, Tensor], *, training: bool) -> None:
         """Raises UsageError where an input is missing or of another shape."""
         encoder = self.policy.config.encoder
-        either = set[str]()  # of a goal that is an image or a state, one is enough to act
+        either = {
+            GOAL_IMAGES + camera for camera in self._goal
+        }  # of a goal that is an image or a state, one is enough to act
         if len(encoder.goals) > 1 and not training:
             images = {GOAL_IMAGES + camera for camera in encoder.goal_cameras}
-            either = {ACHIEVED, GOAL_STATE} if images <= batch.keys() else images if GOAL_STATE in batch else set()
+            either |= (
+                {ACHIEVED, GOAL_STATE} if images <= batch.keys() | either else images if GOAL_STATE in batch else set()
+            )
         for key, feature in features(self.policy.spec, self.policy.config, training=training)[0].items():
             if key not in batch and key not in either:
                 raise UsageError(f"the policy reads {key}, and it is not among {', '.join(sorted(batch))}")
             shape = tuple(feature.shape)
-            if key in batch and tuple(batch[key].shape[-len(shape) :]) != shape:
+            if key in batch and not _as_trained(tuple(batch[key].shape[-len(shape) :]), shape):
                 found = tuple(batch[key].shape[1:])
                 raise UsageError(f"the policy was trained on {key} of shape {shape}, here it is {found}")
 
@@ -178,15 +197,18 @@ class PlaylearnPolicy(PreTrainedPolicy):  # type: ignore[misc]
             goal = _over_time(batch[GOAL_STATE].float(), 1)[:, -1]
         padded = batch.get(f"{STATE}_is_pad")
         proprio = _over_time(batch[GOAL_PROPRIO].float(), 1) if encoder.uses_goal_proprio else state
-        given = [camera for camera in encoder.goal_cameras if GOAL_IMAGES + camera in batch]
+        goals = {camera: image.expand(len(state), *image.shape) for camera, image in self._goal.items()}
+        for camera in encoder.goal_cameras:
+            if GOAL_IMAGES + camera in batch and camera not in goals:
+                goals[camera] = _seen(batch, GOAL_IMAGES + camera, spec.cameras[camera])[:, -1]
         return Inputs(
             state=state,
             achieved=achieved,
             history_mask=torch.ones(state.shape[:2], dtype=torch.bool) if padded is None else ~padded,
             goal_achieved=goal,
             goal_proprio=proprio[:, -1],
-            images={c: _over_time(_to_uint8(batch, IMAGES + c), 3) for c in encoder.observation_cameras},
-            goal_images={c: _over_time(_to_uint8(batch, GOAL_IMAGES + c), 3)[:, -1] for c in given},
+            images={c: _seen(batch, IMAGES + c, spec.cameras[c]) for c in encoder.observation_cameras},
+            goal_images=goals,
         )
 
 
@@ -240,6 +262,21 @@ def _rows(meta: Any, key: str) -> Array:
 def _over_time(value: Tensor, dims: int) -> Tensor:
     """(B, T, ...) from a value with or without a time axis; dims: of one moment."""
     return value if value.ndim == 2 + dims else value.unsqueeze(1)
+
+
+def _as_trained(found: tuple[int, ...], shape: tuple[int, ...]) -> bool:
+    """Whether an input has the shape that was trained on, or is an image that can be scaled to it."""
+    images = len(found) == len(shape) == 3 and found[0] == shape[0]
+    return found == shape or (images and fits((found[1], found[2]), (shape[1], shape[2])))
+
+
+def _seen(batch: Mapping[str, Tensor], key: str, size: Size) -> Tensor:
+    """(B, T, h, w, 3) uint8, scaled to the size that was trained on as images of the play were."""
+    images = _over_time(_to_uint8(batch, key), 3)
+    if tuple(images.shape[2:4]) == size:
+        return images
+    scaled = np.stack([resized(image, size) for image in images.flatten(0, 1).cpu().numpy()])
+    return torch.from_numpy(scaled.reshape(*images.shape[:2], *size, 3)).to(images.device)
 
 
 def _to_uint8(batch: Mapping[str, Tensor], key: str) -> Tensor:

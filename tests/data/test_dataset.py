@@ -315,3 +315,26 @@ def test_a_chunk_ends_with_the_step_that_deviates_from_its_label(store: NativeSt
     assert ended > 10
     with pytest.raises(UsageError, match="max_label_deviation"):
         dataclasses.replace(SEEN, max_label_deviation=0.0).build(store, "train", 0)
+
+
+def test_only_what_an_expert_corrected_is_learned(tmp_path: Path) -> None:
+    """Steps 20 to 29 and 50 to 52 are corrections: no label outside of them counts, no example begins there."""
+    took_over = np.zeros(80, np.bool_)
+    took_over[[*range(20, 30), *range(50, 53)]] = True
+    own = make_episode(np.random.default_rng(0), 80)
+    corrected = dataclasses.replace(own, intervention=took_over, action=own.expert_action)
+    store = NativeStore.create(tmp_path / "rollouts", StoreSpec.of(own))
+    with store.writer() as writer:
+        for episode in (corrected, dataclasses.replace(corrected, intervention=~took_over)):
+            writer.append(episode)
+    config = DataConfig(chunk=8, val_fraction=0.0, goals=FinalConfig(), interventions_only=True)
+    data = config.build(store, "train", 0)
+    assert len(data) == 80  # what is a correction in one of the two is none in the other
+    places = np.arange(len(data))
+    masks = data.batch(0, places).action_mask.numpy()
+    for e, t, mask in zip(*data.where(places), masks, strict=True):
+        counts = np.append(store.array(int(e), "intervention")[t : t + 8], np.zeros(8, np.bool_))[:8]
+        assert counts[0]
+        assert mask.tolist() == np.logical_and.accumulate(counts).tolist()
+    with pytest.raises(StoreError, match=r"nobody took over at any step \(`intervention`\): set it to false"):
+        config.build(make_store(tmp_path / "play", np.random.default_rng(0), 1, 60), "train", 0)

@@ -327,7 +327,7 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "fps": (lambda root: change_info(root, fps=1e400), "info.json: fps must be above 0, not inf"),
     "version 2.0": (
         lambda root: change_info(root, codebase_version="v2.0"),
-        r"Make it 2.1 .*convert_dataset_v21_to_v30",
+        r"Convert it to 2.1 .*lerobot.datasets.v21.convert_dataset_v20_to_v21",
     ),
     "template": (lambda root: change_info(root, data_path="{"), r"info.json cannot be read \(Single '{'"),
 }

@@ -207,9 +207,12 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "no dataset": (lambda root: (root / "meta/info.json").unlink(), r"there is no LeRobot dataset at .*copy"),
     "version 2.1": (
         lambda root: info(root, codebase_version="v2.1"),
-        r"convert_dataset_v21_to_v30 --repo-id=local/copy",
+        "in meta/info.json asks for chunk_index, file_index: refused",
     ),
-    "a newer one": (lambda root: info(root, codebase_version="v4.0"), "version 4.0; version 3.0 is read here: update"),
+    "a newer one": (
+        lambda root: info(root, codebase_version="v4.0"),
+        "version 4.0; versions 2.1 and 3.0 are read here: update",
+    ),
     "no fps": (lambda root: info(root, fps=0), "fps must be above 0"),
     "broken info": (lambda root: (root / "meta/info.json").write_text("{"), "info.json cannot be read"),
     "a pickle": (lambda root: (root / "meta/stats.pkl").touch(), "is a pickle, which can run code"),

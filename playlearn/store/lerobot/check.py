@@ -12,7 +12,8 @@ import pyarrow.compute as pc
 from playlearn.episode import Array
 from playlearn.errors import StoreError
 from playlearn.store.lerobot.features import Size, vector_size
-from playlearn.store.lerobot.metadata import INFO, TASKS, DatasetMetadata, Row, column_types, read_parquet
+from playlearn.store.lerobot.files import INFO, Row, column_types, read_parquet
+from playlearn.store.lerobot.metadata import DatasetMetadata
 
 MAX_LISTED = 40  # problems in one message
 NUMBERS = ("episode_index", "frame_index", "index", "timestamp")
@@ -87,7 +88,9 @@ def check_tasks(metadata: DatasetMetadata, columns: Mapping[int, Mapping[str, Ar
     for index, own in columns.items():
         unknown = set(own[key][:, 0].tolist()) - metadata.tasks.keys()
         if unknown:
-            message = f"episode {index}: {key} is {min(unknown):g} at some frame, and {TASKS} has no such task"
+            message = (
+                f"episode {index}: {key} is {min(unknown):g} at some frame, and {metadata.tasks_file} has no such task"
+            )
             problems.append(Problem(message, frozenset({index})))
     return problems
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 @StoreConfig.register_subclass("lerobot")
 @dataclass(frozen=True)
 class LeRobotStoreConfig(StoreConfig):
-    """A LeRobot v3.0 dataset, in a folder or on the Hub.
+    """A LeRobot dataset, v3.0 or in the layout of v2.1, in a folder or on the Hub.
 
     root: folder of the dataset.
     repo_id: name of the dataset on the Hub; LeRobot's own folders are searched first.

@@ -16,7 +16,8 @@ from playlearn.episode import Array
 from playlearn.errors import StoreError
 from playlearn.picture import resized
 from playlearn.store.lerobot.features import Camera, Size
-from playlearn.store.lerobot.metadata import INFO, UNREADABLE, Clip, DatasetMetadata, Row, first_line
+from playlearn.store.lerobot.files import INFO, UNREADABLE, Clip, Row, first_line
+from playlearn.store.lerobot.metadata import DatasetMetadata
 
 MODES = ("RGB", "RGBA", "L", "LA", "P")  # of Pillow: 8 bits a color
 

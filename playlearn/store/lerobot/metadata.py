@@ -1,57 +1,24 @@
-"""The metadata of a LeRobot v3.0 dataset, read without trust: no path leaves its folder, nothing is unpickled."""
+"""The metadata of a LeRobot dataset, read without trust: no path leaves its folder, nothing is unpickled."""
 
 import json
 import math
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
-from string import Formatter
+from pathlib import Path
 from typing import Any
-
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from playlearn.errors import MissingStoreError, StoreError
 from playlearn.quantity import KINDS, Bounds, kind
 from playlearn.store.lerobot.features import Camera, check_features, read_cameras, vector_size
+from playlearn.store.lerobot.files import INFO, UNREADABLE, Layout, Row, first_line
 from playlearn.store.lerobot.names import read_names
+from playlearn.store.lerobot.version21 import Version21
+from playlearn.store.lerobot.version30 import Version30
 
-INFO = "meta/info.json"
-TASKS = "meta/tasks.parquet"
-EPISODES = "meta/episodes"
-DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 QUANTITIES, BOUNDS = "quantities", "bounds"  # what a feature's numbers measure, and between what an action lies
 PICKLES = (".pkl", ".pickle", ".pt", ".pth", ".joblib")
-UNREADABLE = (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, pa.ArrowException)
-
-
-@dataclass(frozen=True)
-class Clip:
-    """The part of a video that holds an episode's frames; begin and end in seconds."""
-
-    file: str
-    begin: float
-    end: float
-
-
-@dataclass(frozen=True)
-class Row:
-    """One episode.
-
-    index: of the episode.
-    length: frames.
-    begin: index of its first frame in the whole dataset.
-    data: the parquet file that holds its numbers.
-    clips: camera -> part of a video.
-    """
-
-    index: int
-    length: int
-    begin: int
-    data: str
-    clips: Mapping[str, Clip]
+CONVERTERS = ("v2.convert_dataset_v1_to_v2", "v21.convert_dataset_v20_to_v21")  # of LeRobot 0.3.3
+LAYOUTS: tuple[Layout, ...] = (Version30(), Version21())
 
 
 @dataclass(frozen=True)
@@ -68,9 +35,11 @@ class DatasetMetadata:
     frames: total that `info.json` states.
     rows: the episodes that the metadata lists.
     tasks: task index -> its text.
+    tasks_file: where they are.
     """
 
     root: Path
+    version: str
     fps: float
     robot: str
     features: Mapping[str, Any]
@@ -80,6 +49,7 @@ class DatasetMetadata:
     frames: int
     rows: tuple[Row, ...]
     tasks: Mapping[int, str]
+    tasks_file: str
 
     def names(self, key: str) -> tuple[str, ...]:
         """Name of each dimension of a vector, all different; () if there is no such feature."""
@@ -156,12 +126,11 @@ def load_metadata(root: Path) -> DatasetMetadata:
     try:
         info = json.loads(path.read_text(encoding="utf-8"))
         version = str(info["codebase_version"]).lstrip("v")
-        if not version.startswith("3."):
+        layout = next((one for one in LAYOUTS if version.startswith(one.version)), None)
+        if layout is None:
             raise StoreError(_other_version(root, version))
         features = check_features(path, info["features"])
         fps, episodes, frames = float(info["fps"]), int(info["total_episodes"]), int(info["total_frames"])
-        data = _template(info.get("data_path") or DATA_PATH, {"chunk_index", "file_index"})
-        video = _template(info.get("video_path") or VIDEO_PATH, {"chunk_index", "file_index", "video_key"})
     except UNREADABLE as error:
         raise StoreError(f"{path} cannot be read ({first_line(error)}): fetch it again") from error
     if not 0 < fps < math.inf:
@@ -169,6 +138,7 @@ def load_metadata(root: Path) -> DatasetMetadata:
     cameras, remarks = read_cameras(features)
     return DatasetMetadata(
         root=root,
+        version=version,
         fps=fps,
         robot=str(info.get("robot_type") or "unknown"),
         features=features,
@@ -176,116 +146,19 @@ def load_metadata(root: Path) -> DatasetMetadata:
         remarks=remarks,
         episodes=episodes,
         frames=frames,
-        rows=_rows(root, data, video, {name: camera.key for name, camera in cameras.items() if camera.video}),
-        tasks=_tasks(root) if info.get("total_tasks") or (root / TASKS).is_file() else {},
+        rows=layout.rows(root, info, {name: camera.key for name, camera in cameras.items() if camera.video}),
+        tasks=layout.texts(root) if info.get("total_tasks") or (root / layout.tasks).is_file() else {},
+        tasks_file=layout.tasks,
     )
-
-
-def read_parquet(path: Path, columns: list[str] | None = None) -> pa.Table:
-    """A table, or those of the columns that are there.
-
-    Raises:
-        StoreError: it is missing or cannot be read.
-    """
-    if not path.is_file():
-        raise StoreError(f"{path} is missing: fetch it again")
-    try:
-        with pq.ParquetFile(path) as file:
-            there = file.schema_arrow.names
-            twice = [name for name in columns or there if there.count(name) > 1]
-            if twice:
-                raise ValueError(f"it has two columns {twice[0]!r}")
-            return file.read(columns=None if columns is None else [name for name in columns if name in there])
-    except UNREADABLE as error:
-        raise StoreError(f"{path} cannot be read ({first_line(error)}): fetch it again") from error
-
-
-def column_types(path: Path) -> dict[str, pa.DataType]:
-    """The columns of a table; none where it cannot be read, which `read_parquet` says."""
-    with suppress(*UNREADABLE):
-        schema = pq.read_schema(path)
-        return dict(zip(schema.names, schema.types, strict=True))
-    return {}
-
-
-def _rows(root: Path, data: str, video: str, videos: Mapping[str, str]) -> tuple[Row, ...]:
-    """data, video: templates of the files' paths; videos: camera -> its feature."""
-    wanted = ["episode_index", "length", "dataset_from_index", "data/chunk_index", "data/file_index"]
-    places = ("chunk_index", "file_index", "from_timestamp", "to_timestamp")
-    wanted += [f"videos/{key}/{place}" for key in videos.values() for place in places]
-    rows: list[Row] = []
-    for path in sorted((root / EPISODES).glob("*/*.parquet")):
-        table = read_parquet(path, wanted)
-        missing = [name for name in wanted if name not in table.column_names]
-        if missing:
-            raise StoreError(f"{path} has no {', '.join(missing)}: fetch it again")
-        try:
-            rows += [_row(row, data, video, videos) for row in table.to_pylist()]
-        except UNREADABLE as error:
-            raise StoreError(f"{path} cannot be read ({first_line(error)}): fetch it again") from error
-    return tuple(sorted(rows, key=lambda row: row.index))
-
-
-def _row(row: Mapping[str, Any], data: str, video: str, videos: Mapping[str, str]) -> Row:
-    clips = {
-        name: Clip(
-            _inside(video, video_key=key, **_file(row, f"videos/{key}/")),
-            float(row[f"videos/{key}/from_timestamp"]),
-            float(row[f"videos/{key}/to_timestamp"]),
-        )
-        for name, key in videos.items()
-        if row[f"videos/{key}/chunk_index"] is not None
-    }
-    place = _inside(data, **_file(row, "data/"))
-    return Row(int(row["episode_index"]), int(row["length"]), int(row["dataset_from_index"]), place, clips)
-
-
-def _file(row: Mapping[str, Any], prefix: str) -> dict[str, int]:
-    return {name: int(row[prefix + name]) for name in ("chunk_index", "file_index")}
-
-
-def _template(template: str, fields: set[str]) -> str:
-    """The template itself; refuses one with other fields (`{video_key.__class__}`)."""
-    used = {name for _, name, _, _ in Formatter().parse(template) if name is not None}
-    if not used <= fields:
-        raise StoreError(f"the template {template!r} in {INFO} asks for {', '.join(sorted(used - fields))}: refused")
-    return template
-
-
-def _inside(template: str, **values: Any) -> str:
-    """The path that a template gives; refuses a path out of the dataset."""
-    path = PurePosixPath(template.format(**values))
-    if path.is_absolute() or ".." in path.parts or "\\" in str(path):
-        raise StoreError(f"the path {str(path)!r} that {INFO} gives leads out of the dataset: refused")
-    return str(path)
-
-
-def _tasks(root: Path) -> dict[int, str]:
-    """Task index -> its text; raises StoreError where the table is missing, or holds something else."""
-    table, path = read_parquet(root / TASKS), root / TASKS
-    # The text is the table's index for pandas, which calls it what it likes.
-    texts = [name for name in table.column_names if str(table[name].type) in ("string", "large_string")]
-    column = next((name for name in ("task", "__index_level_0__", *texts) if name in texts), None)
-    if column is None or "task_index" not in table.column_names:
-        raise StoreError(f"{path} has the columns {', '.join(table.column_names)}, not task_index and the task's text")
-    rows = list(zip(table["task_index"].to_pylist(), table[column].to_pylist(), strict=True))
-    found = {index: text for index, text in rows if index is not None and text is not None}
-    if len(found) < len({row for row in rows if None not in row}):
-        raise StoreError(f"{path} has two texts for one task_index: fetch it again")
-    return found
 
 
 def _other_version(root: Path, version: str) -> str:
-    found = f"{root} is a LeRobot dataset of version {version}; version 3.0 is read here"
+    found = f"{root} is a LeRobot dataset of version {version}; versions 2.1 and 3.0 are read here"
     if not version.startswith(("1.", "2.")):
         return f"{found}: update playlearn"
-    before = "" if version.startswith("2.1") else "Make it 2.1 with the converters of a LeRobot before 0.4, then c"
+    scripts = CONVERTERS[1 if version.startswith("2.") else 0 :]
     return (
-        f"{found}. {before or 'C'}onvert a copy of it: `python -m lerobot.scripts.convert_dataset_v21_to_v30 "
-        f"--repo-id=local/{root.name} --root={root} --push-to-hub=false`"
+        f"{found}. Convert it to 2.1 with LeRobot's own converter, which LeRobot 0.3.3 still has (`pip install "
+        f"lerobot==0.3.3`, in an environment of its own): "
+        + ", then ".join(f"`python -m lerobot.datasets.{script} --repo-id=...`" for script in scripts)
     )
-
-
-def first_line(error: BaseException) -> str:
-    text = str(error).splitlines()[0] if str(error) else type(error).__name__
-    return f"no {text}" if isinstance(error, KeyError) else text

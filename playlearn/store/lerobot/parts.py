@@ -3,7 +3,8 @@
 from playlearn.errors import StoreError
 from playlearn.store.lerobot.content import ACHIEVED, INTERVENTION, NEXT_REWARD, SUCCESS
 from playlearn.store.lerobot.features import PICTURES, is_numeric, vector_size
-from playlearn.store.lerobot.metadata import INFO, DatasetMetadata, column_types
+from playlearn.store.lerobot.files import INFO, column_types
+from playlearn.store.lerobot.metadata import DatasetMetadata
 
 VECTORS = ("state", "achieved", "action")
 OUTCOMES = {"success": SUCCESS, "reward": NEXT_REWARD, "done": "next.done"}

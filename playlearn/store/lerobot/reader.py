@@ -1,4 +1,4 @@
-"""A LeRobot v3.0 dataset as a store of play, without conversion.
+"""A LeRobot dataset (v3.0, or in the layout of v2.1) as a store of play, without conversion.
 
 Opening reads the numbers into memory and reports everything that is missing or broken; what is whole and left out all
 the same is in `remarks`. A video is decoded once, an episode at a time when its images are first read, into a file that
@@ -29,8 +29,9 @@ from playlearn.store.base import StoreSpec, spec_digest, summary
 from playlearn.store.lerobot import check, sidecar
 from playlearn.store.lerobot.content import NEXT_REWARD, SUCCESS
 from playlearn.store.lerobot.features import Size
+from playlearn.store.lerobot.files import Row
 from playlearn.store.lerobot.frames import decode_episode
-from playlearn.store.lerobot.metadata import DatasetMetadata, Row, load_metadata
+from playlearn.store.lerobot.metadata import DatasetMetadata, load_metadata
 from playlearn.store.lerobot.parts import OUTCOMES, VECTORS, left_out, read_features
 from playlearn.store.lerobot.subtasks import EVENTS, PERSISTENT
 from playlearn.store.mmap_cache import MmapCache
@@ -186,7 +187,7 @@ class LeRobotStore:
         return {
             "path": str(self.path),
             "format": "lerobot",
-            "version": "3.0",
+            "version": self._metadata.version,
             **summary(self),
             "bytes": sum(path.stat().st_size for path in self.path.rglob("*") if path.is_file()),
             "frames": str(self._cache),
