@@ -13,6 +13,8 @@ from torch import Tensor
 from playlearn.episode import Array
 from playlearn.quantity import ROUNDING
 
+EVENTS = ("grasp", "settled")  # of the robot's own future, see `relabeling.hand`
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Inputs:

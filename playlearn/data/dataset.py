@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from playlearn.batch import Batch
+from playlearn.batch import EVENTS, Batch
 from playlearn.data.cameras import check_cameras
 from playlearn.data.finite import check_finite
 from playlearn.data.split import val_mask
@@ -20,7 +20,6 @@ from playlearn.errors import StoreError, UsageError
 from playlearn.layout import ObjectLayout
 from playlearn.quantity import difference
 from playlearn.relabeling import (
-    EVENTS,
     UNIFORMS,
     GoalSamplerConfig,
     RelabelIndex,

@@ -8,7 +8,7 @@ from playlearn.relabeling.final import FinalConfig
 from playlearn.relabeling.final_settled import FinalSettledConfig
 from playlearn.relabeling.fixed import FixedConfig
 from playlearn.relabeling.geometric import GeometricConfig
-from playlearn.relabeling.hand import EVENTS, events_ahead, grasps
+from playlearn.relabeling.hand import events_ahead, grasps
 from playlearn.relabeling.images import ImagesConfig
 from playlearn.relabeling.index import RelabelIndex, robot_reader
 from playlearn.relabeling.mixture import MixtureConfig, WeightedSampler
@@ -19,7 +19,6 @@ from playlearn.relabeling.settling import SettlingConfig
 from playlearn.relabeling.uniform import FutureConfig, UniformConfig
 
 __all__ = [
-    "EVENTS",
     "UNIFORMS",
     "EpisodeConfig",
     "FinalConfig",

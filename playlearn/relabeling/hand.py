@@ -14,11 +14,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from playlearn.batch import EVENTS
 from playlearn.episode import Array
 from playlearn.relabeling.index import Indices, RelabelIndex
 from playlearn.relabeling.robot import RobotReader
-
-EVENTS = ("grasp", "settled")
 
 
 def grasps(table: RelabelIndex, reader: RobotReader, states: Sequence[Array]) -> Indices:

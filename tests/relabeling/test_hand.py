@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from playlearn.batch import EVENTS
 from playlearn.quantity import Quantities
-from playlearn.relabeling import EVENTS, RelabelIndex, SettlingConfig, events_ahead, grasps, robot_reader
+from playlearn.relabeling import RelabelIndex, SettlingConfig, events_ahead, grasps, robot_reader
 
 NAMES = ("eef.x", "gripper.opening")
 OPEN, SHUT = 0.08, 0.0

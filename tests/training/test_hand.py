@@ -53,7 +53,8 @@ def config(play: Path, **fields: Any) -> TrainConfig:
 
 
 def test_a_policy_is_trained_from_the_encoder_of_another_run(play: Path, tmp_path: Path) -> None:
-    train(config(play, trainable=["encoder.estimate.*"], lr=1e-2, warmup=1), tmp_path / "encoder")
+    learned = {"steps": 30, "val_every": 30, "checkpoint_every": 30, "lr": 3e-3, "warmup": 5, "ema_decay": 0.5}
+    train(config(play, trainable=["encoder.estimate.*"], **learned), tmp_path / "encoder")
     train(config(play, trainable=ACTING, init_from=str(tmp_path / "encoder")), tmp_path / "policy")
     encoder, policy = (Policy.load(tmp_path / name / "policy") for name in ("encoder", "policy"))
     same = {name: torch.equal(one, policy.state_dict()[name]) for name, one in encoder.state_dict().items()}

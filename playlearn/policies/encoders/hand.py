@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from playlearn.batch import Inputs
+from playlearn.batch import EVENTS, Inputs
 from playlearn.errors import UsageError
 from playlearn.policies.encoders.base import Encoder, EncoderConfig, Proposals, Tokens
 from playlearn.policies.encoders.cameras import (
@@ -39,8 +39,6 @@ from playlearn.policies.encoders.cnn import CNNConfig
 from playlearn.policies.encoders.keypoints import Glimpses, heatmap_loss
 from playlearn.policies.encoders.objects import NEAR, mlp
 from playlearn.policies.spec import Named, PolicySpec
-
-EVENTS = ("grasp", "settled")  # of `relabeling.hand`, which policies do not import
 
 
 @EncoderConfig.register_subclass("hand")
@@ -167,14 +165,17 @@ class EventEstimator(nn.Module):
         the play before training (see `data.projection`).
     """
 
-    STRIDE, GLIMPSE = 4, 16
+    STRIDE, COARSEST, GLIMPSE = 4, 16, 16  # pixels of a cell of the finest and of the coarsest map, and of a glimpse
     ANSWERS = 4  # a block may be taken either way round
     NEAR = 0.25  # of half the image: a glimpse this far off teaches nothing
 
     def __init__(self, state: int, moving: list[int], channels: int, size: tuple[int, int]) -> None:
         super().__init__()
-        self.state, self.size, self.moving = state, size, moving
-        self.shape = tuple(max(4, side // self.STRIDE // 4 * 4) for side in size)
+        self.state, self.moving = state, moving
+        self.size = tuple(-(-side // self.COARSEST) * self.COARSEST for side in size)  # padded to whole cells
+        self.shape = tuple(side // self.STRIDE for side in self.size)
+        whole = [side / own for side, own in zip(reversed(size), reversed(self.size), strict=True)]
+        self.register_buffer("whole", torch.tensor(whole), persistent=False)  # (2,) the image's share of that, x and y
         events = len(EVENTS)
         self.register_buffer("projection", torch.zeros(hand_terms(torch.zeros(1, len(moving))).shape[1], 2))
         y, x = torch.meshgrid(*(_centers(count) for count in self.shape), indexing="ij")
@@ -192,18 +193,17 @@ class EventEstimator(nn.Module):
         self.from_middle = nn.Conv2d(2 * channels, channels, 1)
         self.propose = nn.Conv2d(channels, events * (1 + state), 1)
         self.ahead = mlp(4 * channels + state, 64, events)
-        self.glimpses = Glimpses(self.GLIMPSE, events, 64, 6, size)
+        self.glimpses = Glimpses(self.GLIMPSE, events, 64, 6, (self.size[0], self.size[1]))
         self.answer = mlp(events * self.glimpses.features + state, 256, events * self.ANSWERS * (1 + state))
         self.log_scale = nn.Parameter(torch.zeros(events, 1, state))
         channels_last(self)
 
     def forward(self, frames: Tensor, goal: Tensor, state: Tensor, offsets: Tensor | None) -> Proposals:
         """offsets: (2, B, 1) rows and columns by which the images were shifted; None for none."""
-        height, width = self.shape
-        images = torch.cat([pixels(frames), pixels(goal)], 1)
-        maps = self.stem(images)[..., :height, :width]  # (B, C, h', w')
+        images = self._padded(torch.cat([pixels(frames), pixels(goal)], 1))
+        maps = self.stem(images)  # (B, C, h', w')
         shift = self._shift(offsets, state)
-        away = self.get_buffer("cells") - (self.project(state) - shift).unsqueeze(1)  # (B, N, 2) from the hand
+        away = self.get_buffer("cells") - (self._in_cells(state) - shift).unsqueeze(1)  # (B, N, 2) from the hand
         away = away.movedim(-1, 1).unflatten(-1, self.shape)
         scale, bias = self.condition(state)[:, :, None, None].chunk(2, 1)
         maps = maps + self.away(torch.cat([away.tanh(), (NEAR * away).tanh()], 1))
@@ -231,7 +231,7 @@ class EventEstimator(nn.Module):
         target = torch.stack([events[name] for name in EVENTS], 1)  # (B, E, S)
         there = ~target.isnan().any(-1)  # (B, E)
         target = target.nan_to_num()
-        seen = self.project(target) - found.shift.unsqueeze(1)  # (B, E, 2)
+        seen = self._in_cells(target) - found.shift.unsqueeze(1)  # (B, E, 2)
         inside = there & (seen.abs() <= 1).all(-1)
         points = seen.masked_fill(~inside.unsqueeze(-1), torch.nan)
         where = heatmap_loss(found.logits.unflatten(-1, self.shape), points)
@@ -260,6 +260,18 @@ class EventEstimator(nn.Module):
         """(..., S) normalized to (..., 2), x and y in [-1, 1]: where the image shows the hand."""
         seen: Tensor = hand_terms(state[..., self.moving]) @ self.get_buffer("projection")
         return seen
+
+    def _padded(self, images: Tensor) -> Tensor:
+        """(B, C, h, w) with edges repeated at the right and the bottom, up to whole cells."""
+        missing = [own - side for own, side in zip(self.size, images.shape[2:], strict=True)]
+        if not any(missing):
+            return images
+        return nn.functional.pad(images, (0, missing[1], 0, missing[0]), mode="replicate")
+
+    def _in_cells(self, state: Tensor) -> Tensor:
+        """The same, in [-1, 1] of the padded image."""
+        seen = self.project(state)
+        return seen + (seen + 1) * (self.get_buffer("whole") - 1)  # to the bit what is seen, where nothing is padded
 
     def _shift(self, offsets: Tensor | None, like: Tensor) -> Tensor:
         """(B, 2), x and y in [-1, 1], by which the images were shifted."""
